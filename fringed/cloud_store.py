@@ -20,6 +20,10 @@ from fringed.errors import FringedError
 
 NAME = "clouds.zarr"
 VERSION = 1
+ARRAYS = ("xyz", "sigma_mm", "gray")
+"""Of every store."""
+OPTIONAL = ("rgb", "normals", "interpolated")
+"""Of a store for which they were asked."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,19 +33,24 @@ class StoredCloud:
     Args:
         sequence: number of its pair.
         xyz: (H, W, 3) float32, mm, NaN where invalid; sigma_mm: (H, W) float32, mm; gray: (H, W) uint8.
+        rgb: (H, W, 3) uint8; normals: (H, W, 3) float32, NaN where unknown; interpolated: (H, W) bool; None in a store
+            without them.
     """
 
     sequence: int
     xyz: NDArray[np.float32]
     sigma_mm: NDArray[np.float32]
     gray: NDArray[np.uint8]
+    rgb: NDArray[np.uint8] | None = None
+    normals: NDArray[np.float32] | None = None
+    interpolated: NDArray[np.bool_] | None = None
 
 
 class StoredClouds(Sequence[StoredCloud]):
     """The clouds of one recording, each read when it is asked for; one without a result has no valid point."""
 
     def __init__(self, group: Any) -> None:
-        self._arrays = {name: group[name] for name in ("xyz", "sigma_mm", "gray")}
+        self._arrays = {name: group[name] for name in (*ARRAYS, *(name for name in OPTIONAL if name in group))}
         self.sequences: NDArray[np.int64] = np.asarray(group["sequence"][:])
 
     def __len__(self) -> int:

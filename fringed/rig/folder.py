@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from fringed.client import ReceivedCloud
-from fringed.cloud_store import StoredClouds, open_clouds
+from fringed.cloud_store import ARRAYS, OPTIONAL, StoredClouds, open_clouds
 from fringed.errors import NotLiveError, RecordingError
 from fringed.parts import PARTS
 from fringed.rig.preview import Preview
@@ -123,7 +123,7 @@ class ZarrClouds(CloudFiles):
 
     def _stored(self) -> Iterator[tuple[int, str, dict[str, Any]]]:
         for cloud in self._store:
-            arrays = {"xyz": cloud.xyz, "gray": cloud.gray, "sigma_mm": cloud.sigma_mm}
+            arrays = {name: getattr(cloud, name) for name in (*ARRAYS, *OPTIONAL)}
             yield cloud.sequence, f"{self.place}, pair {cloud.sequence}", arrays
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ from pipeline.pattern.order_check import order_warning
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.cloud_filters import cloud_filters
+from pipeline.reconstruct.optional_parts import with_parts
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.pose import Pose
@@ -113,3 +115,9 @@ def timed(reconstructor: Any, item: TakeItem, *, use_prior: bool) -> tuple[Cloud
     stages = {name: round(ms, 3) for name, ms in cloud.ms.items()}
     consistency = None if cloud.consistency is None else cloud.consistency.as_mapping()
     return cloud, Run(item.pair.sequence, cloud.points, round(total_ms, 3), stages, consistency)
+
+
+def with_item_parts(cloud: Cloud, reconstructor: Any, item: TakeItem, parts: Collection[str]) -> Cloud:
+    """The cloud of an item with those of the computed parts that are named."""
+    single = isinstance(reconstructor, IndependentVerdicts)
+    return with_parts(cloud, reconstructor, item.lefts[0] if single else item.lefts, parts)

@@ -7,7 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daemon.apps.replay.reconstruct_item import Run, check_serials, check_size, timed, warmed_reconstructor
+from daemon.apps.replay.reconstruct_item import (
+    Run,
+    check_serials,
+    check_size,
+    timed,
+    warmed_reconstructor,
+    with_item_parts,
+)
 from daemon.apps.replay.take_items import Sets, pairs_of
 from daemon.kernels.jobs import measuring_jobs
 from daemon.kernels.processes import Progress, compile_kernels
@@ -19,7 +26,6 @@ from pipeline.common.settings import Settings
 from pipeline.monitor.checked_reconstructor import Policy
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
-from pipeline.reconstruct.optional_parts import with_parts
 from pipeline.rig.pose import Pose
 
 
@@ -129,8 +135,7 @@ class Replay:
                 self.failures.append(Failure(pair.sequence, str(error)))
                 continue
             prior.measured(pair.sequence, pair.t_ns, 1)
-            left = item.lefts[0] if sequence is None else item.lefts
-            yield Result(pair, with_parts(cloud, reconstructor, left, self.parts), runs)
+            yield Result(pair, with_item_parts(cloud, reconstructor, item, self.parts), runs)
 
     def _reconstructor(self, encoding: str, sequence: FrameSequence | None) -> Any:
         """A warmed-up reconstructor for images of an encoding."""

@@ -36,6 +36,7 @@ class Job:
         settings: of the pipeline; calibration: bytes of the file to use instead of the attached ones.
         kind: of the cloud files, or empty for none; calibration_check: policy for pairs that contradict the
             calibration; use_prior: as of a replay.
+        parts: what to write of each cloud, as of ``cloud_bytes``; empty = the default.
         chunk_pairs: pairs of images in a chunk.
         threads: of numba in each worker; no result depends on it.
     """
@@ -45,6 +46,7 @@ class Job:
     kind: str = "npz"
     calibration_check: Policy = "withhold"
     use_prior: bool = False
+    parts: tuple[str, ...] = ()
     chunk_pairs: int = 16
     threads: int = 0
     release: Mapping[str, str] = field(default_factory=release)
@@ -58,6 +60,7 @@ class Job:
             "format": self.kind,
             "calibration_check": self.calibration_check,
             "follow": self.use_prior,
+            "parts": list(self.parts),
             "release": dict(self.release),
         }
 

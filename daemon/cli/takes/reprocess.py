@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, cast, get_args
 
 import typer
 
+from daemon.cli.options.parts_option import PartsOption, chosen_parts
+
 if TYPE_CHECKING:
     from daemon.apps.reprocess.engine.tasks import Engine
     from daemon.apps.reprocess.job import Job
@@ -25,6 +27,7 @@ def main(
     sources: Annotated[list[str], typer.Argument(help="Takes: files, folders, patterns, as paths or URLs.")],
     out: Annotated[str, typer.Option(help="Destination: a folder, or a URL such as s3://BUCKET/FOLDER.")],
     kind: Annotated[str, typer.Option("--format", help="Kind of cloud files: npz, ply, pcd, zarr, none.")] = "npz",
+    parts: PartsOption = None,
     calibration: Annotated[Path | None, typer.Option(help="Use this calibration instead of the attached ones.")] = None,
     set_: Annotated[
         list[str] | None,
@@ -50,9 +53,9 @@ def main(
 ) -> None:
     """Reconstruct many recordings.
 
-    The clouds are bit for bit those of `fringed replay`, for any number of workers and any --chunk. Run again, the
-    command does only what is missing or would differ. Exit status 1: something has no result, see the list and
-    report.html.
+    The clouds are bit for bit those of `fringed replay`, for any number of workers and any --chunk; temporal fusion is
+    left to `fringed replay`. Run again, the command does only what is missing or would differ. Exit status 1:
+    something has no result, see the list and report.html.
     """
     from daemon.apps.reprocess.destination.lock import locked
     from daemon.apps.reprocess.job import CLOUD_KINDS, Job
@@ -82,7 +85,10 @@ def main(
     settings = parsed_settings([text for text in texts if text not in grid])
     for changes in combinations(parsed_values(grid)):
         settings.with_overrides(changes)
-    job = Job(settings, data, "" if kind == "none" else kind, cast(Policy, calibration_check), use_prior, chunk)
+    job = Job(
+        settings, data, "" if kind == "none" else kind, cast(Policy, calibration_check), use_prior,
+        chosen_parts(parts) or (), chunk,
+    )  # fmt: skip
     recordings = recordings_of(sources)
     count = len(os.sched_getaffinity(0)) if workers is None else workers
     if dry_run:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +10,27 @@ import numpy as np
 
 from daemon.apps.export.cloud_files import SavedCloud
 from daemon.common.errors import DaemonError
-from fringed.cloud_store import NAME, VERSION
+from fringed.cloud_store import ARRAYS, NAME, VERSION
+
+_KINDS: dict[str, tuple[str, float, tuple[int, ...]]] = {
+    "xyz": ("float32", float("nan"), (3,)), "sigma_mm": ("float32", float("nan"), ()), "gray": ("uint8", 0, ()),
+    "rgb": ("uint8", 0, (3,)), "normals": ("float32", float("nan"), (3,)), "interpolated": ("bool", 0, ()),
+}  # fmt: skip
+"""Type, value without a result, and channels of each array."""
 
 
-def prepare_store(folder: Path, sequences: Sequence[int], size: tuple[int, int]) -> None:
-    """Make the store of a recording, unless it is there already with rows for the same items.
+def prepare_store(folder: Path, sequences: Sequence[int], size: tuple[int, int], parts: Collection[str]) -> None:
+    """Make the store of a recording, unless it is there already with the same arrays and rows for the same items.
 
     Args:
         sequences: numbers of the items, one row each; size: width and height of the left images.
+        parts: that are stored besides ARRAYS.
     """
+    kinds = {name: kind for name, kind in _KINDS.items() if name in ARRAYS or name in parts}
     try:
         group = _group(folder, "r")
-        if group["sequence"][:].tolist() == list(sequences) and group["gray"].shape[1:] == size[::-1]:
+        same = group["sequence"][:].tolist() == list(sequences) and group["gray"].shape[1:] == size[::-1]
+        if same and set(group.array_keys()) == {*kinds, "sequence"}:
             return
     except (FileNotFoundError, KeyError):
         pass
@@ -29,10 +38,7 @@ def prepare_store(folder: Path, sequences: Sequence[int], size: tuple[int, int])
     group = _group(folder, "w")
     group.attrs.update({"fringed_clouds": VERSION, "unit": "mm"})
     compressor = zarr.codecs.BloscCodec(cname="lz4", clevel=1, shuffle="shuffle")
-    arrays: dict[str, tuple[str, float, tuple[int, ...]]] = {
-        "xyz": ("float32", float("nan"), (3,)), "sigma_mm": ("float32", float("nan"), ()), "gray": ("uint8", 0, ()),
-    }  # fmt: skip
-    for name, (kind, fill, channels) in arrays.items():
+    for name, (kind, fill, channels) in kinds.items():
         shape = (*size[::-1], *channels)
         group.create_array(
             name, shape=(len(sequences), *shape), chunks=(1, *shape), dtype=kind, fill_value=fill,
@@ -45,8 +51,9 @@ def prepare_store(folder: Path, sequences: Sequence[int], size: tuple[int, int])
 def write_row(folder: Path, row: int, cloud: SavedCloud | None) -> None:
     """Write a cloud into its row, or what stands for none: no valid point."""
     group = _group(folder, "r+")
-    for name, empty in (("xyz", np.nan), ("sigma_mm", np.nan), ("gray", 0)):
-        group[name][row] = empty if cloud is None else getattr(cloud, name)
+    for name, (_, empty, _) in _KINDS.items():
+        if name in group:
+            group[name][row] = empty if cloud is None else getattr(cloud, name)
 
 
 def _group(folder: Path, mode: str) -> Any:

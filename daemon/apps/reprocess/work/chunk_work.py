@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 
 from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
-from daemon.apps.replay.reconstruct_item import check_serials, check_size, problems_of, timed, warmed_reconstructor
+from daemon.apps.replay.reconstruct_item import (
+    check_serials,
+    check_size,
+    problems_of,
+    timed,
+    warmed_reconstructor,
+    with_item_parts,
+)
 from daemon.apps.reprocess.carried_state import CarriedState, capture, restore
 from daemon.apps.reprocess.destination.cloud_store import write_row
 from daemon.apps.reprocess.destination.results import ChunkManifest, TakeResults
@@ -172,7 +179,8 @@ def _process(task: ChunkTask) -> ChunkManifest:
             state = capture(reconstructor)
         prior.measured(planned.sequence, planned.t_ns, 1)
         manifest.rows.append(dataclasses.asdict(run) | shares(cloud, run.points))
-        _write(task, row, planned, cloud, results, manifest)
+        if job.kind == "zarr" or (job.kind and planned.write):
+            _write(task, row, planned, with_item_parts(cloud, reconstructor, item, job.parts), results, manifest)
     if damaged:
         raise _Damage(damaged)
     manifest.after, manifest.problems = state, problems_of(take, calibration)
@@ -186,14 +194,13 @@ def _write(
     task: ChunkTask, row: int, planned: PlannedItem, cloud: Cloud, results: TakeResults, manifest: ChunkManifest
 ) -> None:
     """Write the file of a cloud, as a replay does, or its row of the store."""
-    saved = SavedCloud(cloud.xyz, cloud.sigma_mm, cloud.gray)
-    if task.job.kind == "zarr":
+    parts, kind = task.job.parts, task.job.kind
+    saved = SavedCloud.of(cloud).completed(parts, task.url)
+    if kind == "zarr":
         write_row(results.folder, row, saved)
         return
-    if not task.job.kind or not planned.write:
-        return
-    name = cloud_name(planned.sequence, task.job.kind)
-    write_whole(results.folder / name, cloud_bytes(saved, task.job.kind))
+    name = cloud_name(planned.sequence, kind)
+    write_whole(results.folder / name, cloud_bytes(saved, kind, parts or None))
     manifest.files.append(name)
 
 

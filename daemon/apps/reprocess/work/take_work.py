@@ -64,7 +64,8 @@ def _prepare_store(job: Job, url: str, folder: str, plan: TakePlan) -> None:
     """Make the Zarr store of a recording."""
     with TakeReader(location(url)) as take:
         size = calibration_of(take, job).calibration.left.size
-    prepare_store(location(folder), [item.sequence for chunk in plan.chunks for item in chunk.items], size)
+    sequences = [item.sequence for chunk in plan.chunks for item in chunk.items]
+    prepare_store(location(folder), sequences, size, job.parts)
 
 
 def _layout(job: Job, plan: TakePlan) -> str:

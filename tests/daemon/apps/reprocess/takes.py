@@ -24,13 +24,15 @@ def write(path: Path, images: list[small_take.Images], count: int, **options: An
     return small_take.write(path, [images[n % len(images)] for n in range(count)], **options)
 
 
-def replayed(take: Path, **options: Any) -> tuple[dict[str, bytes], list[dict[str, Any]]]:
+def replayed(
+    take: Path, kind: str = "npz", parts: tuple[str, ...] = (), **options: Any
+) -> tuple[dict[str, bytes], list[dict[str, Any]]]:
     """Clouds as files by name, and the verdict of every pair, of a replay."""
     files, verdicts = {}, []
     with TakeReader(take) as reader:
-        for result in Replay(reader, **options).results():
-            cloud = SavedCloud(result.cloud.xyz, result.cloud.sigma_mm, result.cloud.gray)
-            files[cloud_name(result.pair.sequence, "npz")] = cloud_bytes(cloud, "npz")
+        for result in Replay(reader, parts=parts, **options).results():
+            cloud = SavedCloud.of(result.cloud).completed(parts, take)
+            files[cloud_name(result.pair.sequence, kind)] = cloud_bytes(cloud, kind, parts or None)
             verdicts.append({"sequence": result.pair.sequence, "consistency": result.runs[-1].consistency})
     return files, verdicts
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import fringed
 from fringed import FringedError, open_clouds
 from tests.daemon.apps.reprocess.takes import replayed, reprocess, write
 from tests.daemon.recording import small_take
@@ -33,6 +34,25 @@ def test_the_clouds_are_those_of_a_replay(take: Path, tmp_path: Path) -> None:
     assert [cloud.sequence for cloud in clouds[1:3]] == [41, 42]
     with pytest.raises(KeyError, match="no pair has the number 7"):
         clouds.of(7)
+
+
+def test_a_store_has_the_parts_that_were_asked_for(take: Path, tmp_path: Path) -> None:
+    parts = ("xyz", "rgb", "normals", "interpolated")
+    for asked, names in (((), set()), (parts, set(parts[1:])), (("xyz", "normals"), {"normals"})):
+        totals = reprocess([take], tmp_path / "out", kind="zarr", chunk_pairs=2, parts=asked)
+        assert (totals.failures, totals.computed) == ([], 5)
+        files = replayed(take, parts=asked)[0].values()
+        for cloud, data in zip(open_clouds(tmp_path / "out" / "a"), files, strict=True):
+            with np.load(io.BytesIO(data)) as expected:
+                assert set(expected) == {"xyz", "sigma_mm", "gray"} | names
+                for name in (*expected, *parts):
+                    if name in expected:
+                        assert getattr(cloud, name).dtype == expected[name].dtype
+                        np.testing.assert_array_equal(getattr(cloud, name), expected[name])
+                    else:
+                        assert getattr(cloud, name) is None
+    with fringed.open(tmp_path / "out" / "a") as rig:
+        assert [cloud.normals is not None for cloud in rig.clouds(parts=["xyz", "normals"])] == [True] * 5
 
 
 def test_a_second_run_does_nothing_and_a_longer_take_all(take: Path, tmp_path: Path) -> None:

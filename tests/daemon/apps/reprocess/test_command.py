@@ -39,6 +39,13 @@ def test_without_workers_all_is_done_in_this_process(
     assert "5 of 5 pairs of 1 recordings done, 0 of them before" in capsys.readouterr().out
 
 
+def test_parts_are_those_of_the_command_replay(take: Path, tmp_path: Path) -> None:
+    options = "--format", "ply", "--parts", "xyz,rgb,normals"
+    assert reprocess(take, "--out", tmp_path / "out", "--workers", 0, *options) == 0
+    assert run(["replay", str(take), "--out", str(tmp_path / "replayed"), *options]) == 0
+    assert files_of(tmp_path / "out" / "a") == files_of(tmp_path / "replayed")
+
+
 def test_an_unreachable_scheduler_is_reported_without_dasks_twenty_seconds(
     take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -110,6 +117,7 @@ def test_the_report_is_well_formed_and_links_the_recordings(take: Path, tmp_path
         (["--scheduler", "tcp://127.0.0.1:9", "--workers", "2"], "fringed worker ADDRESS"),
         (["--set", "nonsense=1,2"], "there is no setting 'nonsense'"),
         (["--set", "cluster_min_area=a,b"], "expected key=value,value"),
+        (["--parts", "rgb"], "without 'xyz'"),
         (["--set", "nonsense=1"], "there is no setting 'nonsense'"),
         (["--calibration", "nowhere.yaml"], "nowhere.yaml"),
     ],

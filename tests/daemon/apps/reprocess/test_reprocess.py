@@ -82,6 +82,18 @@ def test_other_settings_reach_the_workers(take: Path, tmp_path: Path) -> None:
     assert files_of(tmp_path / "part7") == files
 
 
+@pytest.mark.parametrize("kind", ["npz", "ply", "pcd"])
+@pytest.mark.parametrize("parts", [(), ("xyz",), ("xyz", "gray", "sigma", "rgb", "normals", "interpolated")])
+def test_files_have_the_parts_of_a_replay(images: Images, tmp_path: Path, kind: str, parts: tuple[str, ...]) -> None:
+    """With filled holes, which a file marks."""
+    options = {"kind": kind, "parts": parts, "settings": Settings(hole_filling_size=8)}
+    take = write(tmp_path / "a.mcap", images, 3)
+    files, _ = replayed(take, **options)
+    assert not reprocess([take], tmp_path / "out", chunk_pairs=2, **options).failures
+    assert files_of(tmp_path / "out" / "a") == files
+    assert len(files) == 3
+
+
 def test_a_truncated_take_gives_what_a_replay_of_it_gives_and_is_reported(take: Path, tmp_path: Path) -> None:
     cut = tmp_path / "in" / "cut.mcap"
     cut.parent.mkdir()

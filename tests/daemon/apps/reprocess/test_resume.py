@@ -97,6 +97,13 @@ def test_other_settings_do_all_again_and_leave_no_file_of_before(take: Path, tmp
     assert {name.rpartition(".")[2] for name in files_of(tmp_path / "a")} == {"ply"}
 
 
+def test_other_parts_do_all_again(take: Path, tmp_path: Path) -> None:
+    reprocess([take], tmp_path, chunk_pairs=2)
+    for parts in (("xyz", "rgb"), ("xyz", "rgb", "normals"), ()):
+        assert [reprocess([take], tmp_path, chunk_pairs=2, parts=parts).computed for _ in range(2)] == [7, 0]
+        assert files_of(tmp_path / "a") == replayed(take, parts=parts)[0]
+
+
 def test_a_changed_recording_is_done_again(images: Images, tmp_path: Path) -> None:
     take = write(tmp_path / "in" / "a.mcap", images, 4)
     reprocess([take], tmp_path / "out", chunk_pairs=2)

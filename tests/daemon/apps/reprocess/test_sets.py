@@ -54,6 +54,9 @@ def test_sets_are_those_of_a_replay(tmp_path: Path, mode: str) -> None:
     take, settings = write(tmp_path / "a.mcap", mode), Settings(cluster_min_area=20)
     files, verdicts = replayed(take, settings=settings)
     assert len(files) == len(verdicts) == SETS
+    parts = ("xyz", "rgb", "normals")
+    reprocess([take], tmp_path / "parts", settings=settings, chunk_pairs=5, parts=parts)
+    assert files_of(tmp_path / "parts" / "a") == replayed(take, parts=parts, settings=settings)[0]
     for chunk_pairs in (1, 5, 100):
         out = tmp_path / str(chunk_pairs)
         totals = reprocess([take], out, settings=settings, chunk_pairs=chunk_pairs)
