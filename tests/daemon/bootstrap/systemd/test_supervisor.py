@@ -11,6 +11,7 @@ import pytest
 
 from daemon.bootstrap.systemd.notifier import Notifier
 from daemon.bootstrap.systemd.supervisor import Supervisor
+from daemon.common.processor_share import ProcessorShare
 from daemon.live.service import Service
 from sim.devices.open_rig import RigDevices
 from tests.daemon.bootstrap.systemd.manager import PATIENT, Manager
@@ -69,7 +70,10 @@ class Running:
 @pytest.fixture
 def running(tmp_path: Path, manager: Manager) -> Iterator[Running]:
     made, clock = devices(), HandClock()
-    service = Service(config(tmp_path, "pipeline: {queue: 16}\n"), rig_of(made), {"stream": Collector()}, clock=clock)
+    # Other programs take no time from this one, however busy the machine is: deadlines follow the test's clock alone.
+    share = ProcessorShare(lambda: 0, lambda: None)
+    rig, sinks = rig_of(made), {"stream": Collector()}
+    service = Service(config(tmp_path, "pipeline: {queue: 16}\n"), rig, sinks, clock=clock, processor_share=share)
     seconds, ticks = [0.0], [0]
     supervisor = Supervisor(Notifier(manager.address, watchdog_s=10.0), now_s=lambda: seconds[0])
     supervisor.watch(service)
