@@ -99,7 +99,7 @@ def variance(terms: Floats, ratio: Floats, weight: Floats) -> Floats:
     w[0] = np.log(np.mean(ratio**2))
     hessian = 0.5 * (terms.T * weight) @ terms + np.diag(ridge)
     for _ in range(200):
-        excess = np.minimum(ratio**2 * np.exp(-np.clip(terms @ w, -5, 15)), 100.0) - 1
+        excess = ratio**2 * np.exp(-np.clip(terms @ w, -5, 15)) - 1
         step = np.linalg.solve(hessian, 0.5 * terms.T @ (weight * excess) - ridge * w)
         w += 0.5 * step
     return w

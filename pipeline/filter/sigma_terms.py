@@ -4,6 +4,11 @@ The phase error of a surface whose channels reflect unequally is nearly the same
 the difference of their windows and samplings; so does the texture's, and the error of fringes that are no sines or cut
 off. The shares that remain were measured on simulated scenes: the mean square of the errors without noise over the
 square of the bias, of the misfit, and of the scatter of the phase against the projector's.
+
+An inclined surface has narrower fringes in one image than in the other, and the blur leaves less of their modulation.
+The bias is the channels' difference over the modulation: where the right image keeps the share t of the left one's, the
+share 1 - t of the bias remains. A blur of standard deviation s px leaves exp(-s^2 f^2 / 2) of fringes of f radians per
+pixel.
 """
 
 from __future__ import annotations
@@ -16,7 +21,7 @@ import numpy as np
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 from pipeline.filter.texture_agreement import MISFIT_STEPS
-from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
+from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS, MatchResult
 
 
 class Shares(NamedTuple):
@@ -40,6 +45,12 @@ _THREE_CHIPS, _MOSAIC = _Scatter(0.05**2, 16.0), _Scatter(0.1**2, 12.0)
 _SCATTER_SHARE = 0.012
 _SAMPLES = 7000
 _LEAST_SAMPLES = 200
+BLUR = 0.35
+"""Half of the variance of the images' blur, px^2: optics, pixel area and the window of the decoding."""
+LAG = 2
+"""Pixels to either side from which the fringes' frequency in both images is taken."""
+_STEEPEST, _MOST_PERIODS = 0.2, 3.0  # right pixels per left pixel; frequency over the expected one
+_FEWEST, _MOST = np.float32(-1.0), np.float32(3.4)  # where the fraction below stays within 0.1 of 1 - exp(-x)
 SATURATED, FEW_SATURATED = 3.0, 0.05
 """Factor of the bias where channels are cut off, and the share of saturated pixels from which it holds."""
 
@@ -78,33 +89,72 @@ def _scatter(match: MatchResult, variance: Any, slopes: tuple[float, float]) -> 
 
 
 @serial
+def _lost_row(known: Any, phase: Any, pixel: Any, slope: Any, stride: Any, out: Any) -> None:
+    """Square of 1 - t of a row (n,), 0 where a neighbour is unknown or on another surface.
+
+    Args:
+        known, phase, pixel: the two neighbours' ``valid``, ``absolute_phase`` and right pixel along the fringes' axis.
+        slope: expected phase steps in 2 ``LAG`` pixels; stride: of the pixels.
+    """
+    zero, one = np.float32(0.0), np.float32(1.0)
+    radians = np.float32(BLUR * (2 * np.pi / TURN_STEPS) ** 2)
+    left = one / np.float32((2 * LAG * stride) ** 2)
+    least = np.float32(_STEEPEST * 2 * LAG * stride * PIXEL_STEPS)
+    most = np.float32(_MOST_PERIODS) * abs(slope)
+    for j in range(out.shape[0]):
+        turns = np.float32(np.int32(phase[1][j]) - np.int32(phase[0][j]))
+        step = np.float32(np.int32(pixel[1][j]) - np.int32(pixel[0][j]))
+        width = max(abs(step), least)
+        x = radians * turns * turns * (np.float32(PIXEL_STEPS**2) / (width * width) - left)
+        x = min(max(x, _FEWEST), _MOST)
+        lost = x / (one + x * (np.float32(0.5) + x * np.float32(1 / 12)))  # Pade approximation of 1 - exp(-x)
+        usable = (known[0][j] & known[1][j]) != 0 and turns * slope > zero and abs(turns) <= most
+        out[j] = lost * lost if usable else zero
+
+
+@serial
 def _widen_row(
-    misfit: Any, normalised: Any, residual: Any, variance: Any, bias_share: Any, misfit_share: Any, more: Any, sigma:
-    Any,
+    misfit: Any, normalised: Any, residual: Any, variance: Any, lost: Any, bias_share: Any, misfit_share: Any,
+    more: Any, sigma: Any,
 ) -> None:  # fmt: skip
-    one = np.float32(1.0)
+    one, half = np.float32(1.0), np.float32(0.5 * RESIDUAL_STEP**2)
     for j in range(misfit.shape[0]):
         e, b = np.float32(misfit[j]), np.float32(normalised[j]) - np.float32(residual[j])
-        sigma[j] *= np.float32(sqrt(one + (bias_share * b * b + misfit_share * e * e + more) / variance[j]))
+        bias = bias_share + half * lost[j]
+        sigma[j] *= np.float32(sqrt(one + (bias * b * b + misfit_share * e * e + more) / variance[j]))
 
 
 @parallel
 def widen_sigma(
-    i: int, misfit: Any, normalised: Any, residual: Any, variance: Any, shares: Any, stride: int, sigma: Any
+    i: int, misfit: Any, match: Any, variance: Any, shares: Any, slopes: Any, stride: int, sigma: Any
 ) -> None:  # fmt: skip
     """Add the remaining errors to the standard deviation of the points.
 
     Args:
         misfit: (h, w) uint8, see :class:`pipeline.filter.texture_agreement.Agreement`.
-        normalised, residual: (h, w) int16 of :class:`pipeline.match.match_result.MatchResult`; they differ by the bias.
+        match: :class:`pipeline.match.match_result.MatchResult`; its two residuals differ by the bias.
         variance: (h, w) float32, rad^2, of the left phase; the right one's is alike.
-        shares: :class:`Shares`.
+        shares: :class:`Shares`; slopes: expected phase steps per pixel of those (x, y), one of them 0.
         stride: pixel (a, b) of those is that at (stride a, stride b) of ``sigma`` (H, W) float32, which is changed;
             where there is no point it may become anything.
     """
+    height, width = misfit.shape
+    valid, phase = match.valid, match.absolute_phase
+    lost = np.zeros(width, np.float32)
+    slope = np.float32((slopes[0] + slopes[1]) * 2 * LAG * TURN_STEPS / (2 * np.pi))
+    if abs(slopes[0]) >= abs(slopes[1]):
+        u, n = match.right_u[i], width - 2 * LAG
+        _lost_row(
+            (valid[i, :n], valid[i, 2 * LAG :]), (phase[i, :n], phase[i, 2 * LAG :]), (u[:n], u[2 * LAG :]),
+            slope, stride, lost[LAG : LAG + n],
+        )  # fmt: skip
+    elif LAG <= i < height - LAG:
+        v, a, b = match.right_v, i - LAG, i + LAG
+        _lost_row((valid[a], valid[b]), (phase[a], phase[b]), (v[a], v[b]), slope, stride, lost)
     bias = np.float32(0.5 * shares.bias * RESIDUAL_STEP**2)
     mis, more = np.float32(0.5 * shares.misfit / MISFIT_STEPS**2), np.float32(0.5 * shares.variance)
+    normalised, residual = match.residual_normalised[i], match.residual[i]
     if stride == 1:
-        _widen_row(misfit[i], normalised[i], residual[i], variance[i], bias, mis, more, sigma[i])
+        _widen_row(misfit[i], normalised, residual, variance[i], lost, bias, mis, more, sigma[i])
     else:
-        _widen_row(misfit[i], normalised[i], residual[i], variance[i], bias, mis, more, sigma[stride * i, ::stride])
+        _widen_row(misfit[i], normalised, residual, variance[i], lost, bias, mis, more, sigma[stride * i, ::stride])

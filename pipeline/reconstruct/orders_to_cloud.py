@@ -139,9 +139,9 @@ class CloudStage:
         valid = self._gates.certain(match, points, part.modulation, part.mean, self._agreement, scale, by_orders)
         watch.lap("gates")
         widen_sigma(
-            len(valid), self._agreement.misfit, match.residual_normalised, match.residual, part.variance,
+            len(valid), self._agreement.misfit, match, part.variance,
             shares_of(match, part.variance, slopes=self._slopes, mosaic=self._mosaic, saturated=left.saturated),
-            self._stride, points.sigma_mm,
+            self._slopes, self._stride, points.sigma_mm,
         )  # fmt: skip
         kept = np.empty(self._size, np.int16)
         mask_rejected(len(kept), valid, part_order, self._stride, points.xyz, points.sigma_mm, kept)

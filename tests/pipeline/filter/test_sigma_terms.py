@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.filter.sigma_terms import MOSAIC, SATURATED, THREE_CHIPS, Shares, shares_of, widen_sigma
-from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
+from pipeline.filter.sigma_terms import BLUR, LAG, MOSAIC, SATURATED, THREE_CHIPS, Shares, shares_of, widen_sigma
+from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS, MatchResult
 
 SHAPE = (150, 200)
 SLOPES = (0.6, 0.0)
@@ -19,19 +19,49 @@ def test_sigma_is_never_less_than_noise_and_grows_with_misfit_and_bias(stride: i
     rng = np.random.default_rng(6)
     shape = (20, 31)
     misfit = rng.integers(0, 200, shape).astype(np.uint8) * (rng.random(shape) < 0.5).astype(np.uint8)
-    normalised, residual = rng.integers(-90, 90, (2, *shape)).astype(np.int16)
+    match = MatchResult.empty(shape)
+    match.residual_normalised[:], match.residual[:] = rng.integers(-90, 90, (2, *shape))
     variance = np.full(shape, 1e-4, np.float32)
     noise = rng.uniform(0.01, 0.1, (stride * 20, stride * 31)).astype(np.float32)
     sigma = noise.copy()
-    widen_sigma(len(misfit), misfit, normalised, residual, variance, Shares(0.01, 0.2, 3e-5), stride, sigma)
+    widen_sigma(len(misfit), misfit, match, variance, Shares(0.01, 0.2, 3e-5), SLOPES, stride, sigma)
     part = np.s_[::stride, ::stride]
     assert (sigma >= noise).all()
-    bias = (normalised.astype(float) - residual) * RESIDUAL_STEP
+    bias = (match.residual_normalised.astype(float) - match.residual) * RESIDUAL_STEP
     more = 0.01 * bias**2 + 0.2 * (misfit / 256.0) ** 2 + 3e-5
     assert np.allclose(sigma[part], noise[part] * np.sqrt(1 + more / (2 * variance)), rtol=1e-4)
     others = np.ones(sigma.shape, bool)
     others[part] = False
     assert (sigma[others] == noise[others]).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("stride", [1, 2])
+def test_bias_adds_as_far_as_the_other_image_keeps_less_modulation(axis: int, sign: int, stride: int) -> None:
+    """Against the formula, on a surface that the right image shows compressed, and the same for all directions."""
+    shape, left, bias = (40, 60), 0.5, 0.2
+    at = np.arange(60)[None] + np.zeros(shape) if axis == 0 else np.arange(40)[:, None] + np.zeros(shape)
+    variance = np.full(shape, 1e-4, np.float32)
+
+    def widened(compression: float, valid: int = 1) -> Any:
+        match = MatchResult.empty(shape)
+        match.valid[:], match.residual[:], match.residual_normalised[:] = valid, 0, round(bias / RESIDUAL_STEP)
+        match.absolute_phase[:] = np.round(sign * left * stride * at * TURN_STEPS / (2 * np.pi))
+        (match.right_u if axis == 0 else match.right_v)[:] = np.round(PIXEL_STEPS * (9 + stride * compression * at))
+        sigma = np.ones((stride * 40, stride * 60), np.float32)
+        slopes = (sign * 0.6 * stride, 0.0) if axis == 0 else (0.0, sign * 0.6 * stride)
+        misfit = np.zeros(shape, np.uint8)
+        widen_sigma(len(misfit), misfit, match, variance, Shares(0.0, 0.0), slopes, stride, sigma)
+        inner = sigma[::stride, ::stride][LAG:-LAG, LAG:-LAG]
+        assert (sigma >= 1).all()
+        return inner
+
+    for compression in (0.4, 0.6, 0.8, 1.0, 1.3):
+        kept = np.exp(-BLUR * ((left / compression) ** 2 - left**2))
+        expected = np.sqrt(1 + 0.5 * (bias * (1 - kept)) ** 2 / 1e-4)
+        assert np.median(widened(compression)) == pytest.approx(expected, rel=0.05)
+    assert (widened(0.5, valid=0) == 1).all()
 
 
 def _match(normalised: Any, valid: Any = None) -> MatchResult:
