@@ -42,6 +42,7 @@ LIMITS: dict[str, tuple[tuple[float, float], str]] = {
 """Limit of ``doubtful``, limit of ``inconsistent``, unit."""
 SIGMAS = 4.0
 """A reading is beyond a limit when it is so by this many of its standard deviations."""
+_AGREEMENT = 3.0  # standard deviations of the difference
 _LEAST_PATCHES = 16
 _CLEARLY_LESS = 0.85
 _LEAST_SHARE = 0.05
@@ -136,7 +137,7 @@ class ConsistencyCheck:
                 along.value / (half[1 - self._first] * part), along.sigma / (half[1 - self._first] * abs(part))
             )
             if one.value * two.value > 0:
-                out[name] = min(one, two, key=lambda reading: abs(reading.value))
+                out[name] = together(one, two)
         return out
 
     def _scanned(self, scan: ColumnScan) -> dict[str, Reading]:
@@ -196,6 +197,15 @@ def judged(readings: dict[str, Reading], cause: str = "") -> Consistency:
         return Consistency("unknown", readings, tuple(findings))
     verdict = ("consistent", "doubtful", "inconsistent")[worst]
     return Consistency(verdict, readings, tuple(findings), cause if worst == 2 else "")  # type: ignore[arg-type]
+
+
+def together(one: Reading, two: Reading) -> Reading:
+    """Weighted mean of two readings that are both certain and agree; of others the smaller one."""
+    certain = all(abs(reading.value) > SIGMAS * reading.sigma for reading in (one, two))
+    if not certain or abs(one.value - two.value) > _AGREEMENT * float(np.hypot(one.sigma, two.sigma)):
+        return min(one, two, key=lambda reading: abs(reading.value))
+    weights = one.sigma**-2, two.sigma**-2
+    return Reading((weights[0] * one.value + weights[1] * two.value) / sum(weights), sum(weights) ** -0.5)
 
 
 def _excess(name: str, reading: Reading, which: int = 1) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.monitor.checked_reconstructor import CheckedReconstructor
-from pipeline.monitor.consistency import LIMITS, judged
+from pipeline.monitor.consistency import LIMITS, judged, together
 from pipeline.reconstruct.consistency import ColumnScan, Reading
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
@@ -88,6 +88,7 @@ def test_ordinary_errors_of_colour_noise_and_projector_are_no_inconsistency(opti
         ("right", YAW, 0.3, ""),
         ("right", PITCH, 0.05, "camera is turned about its horizontal axis by 0.0[3-9]"),
         ("right", PITCH, -0.1, "camera is turned about its horizontal axis"),
+        ("right", ROLL, 0.05, r"right camera is turned about its optical axis by 0\.0[3-6]"),
         ("right", ROLL, 0.2, "optical axis"),
         ("right", ROLL, 1.0, ""),
         ("projector", YAW, 0.1, r"or the projector by 0\.(09|10)"),
@@ -106,6 +107,17 @@ def test_nothing_is_published_when_a_device_has_turned(side: str, axis: tuple, d
     assert (cloud.order == -1).all()
     assert found.findings
     assert re.search(cause, found.cause), found.cause
+
+
+def test_two_readings_count_together_only_where_both_are_certain_and_agree():
+    one, two = Reading(0.040, 0.006), Reading(0.046, 0.002)
+    mean = together(one, two)
+    assert one.value < mean.value < two.value
+    assert mean.sigma < two.sigma
+    assert together(Reading(-one.value, one.sigma), Reading(-two.value, two.sigma)).value == -mean.value
+    assert together(one, Reading(0.070, 0.002)) == one  # they contradict each other: a lens, not a turn
+    uncertain = Reading(0.040, 0.015)
+    assert together(uncertain, two) == uncertain
 
 
 def test_exchanged_cameras_give_no_cloud():
