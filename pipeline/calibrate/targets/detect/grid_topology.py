@@ -7,6 +7,7 @@ positions that the nearest rows and columns predict, so that perspective and len
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,18 +129,19 @@ def _squares(discs: Discs, near: NDArray[np.int64], apart: Array) -> list[tuple[
         )
         x, y = vectors.T
         clockwise = np.outer(x, y) > np.outer(y, x)
-        for a, b in zip(*np.nonzero(square & clockwise), strict=True):
-            error = np.linalg.norm((vectors - vectors[a] - vectors[b]) @ inverse[index], axis=1)
-            c = int(error.argmin())
-            side = 0.5 * (length[a] + length[b])
-            if c in (a, b) or error[c] > _CLOSES * side:
-                continue
-            # A disc in the middle: these four belong to every other row and column only.
-            middle = np.linalg.norm((vectors - 0.5 * (vectors[a] + vectors[b])) @ inverse[index], axis=1).min()
-            if middle > _CLOSES * side:
-                unlike = error[c] / side + abs(cosine[a, b]) + abs(length[a] - length[b]) / side
-                rank = unlike + 0.1 * side
-                candidates.append((rank, (index, int(others[a]), int(others[b]), int(others[c]))))
+        a, b = np.nonzero(square & clockwise)
+        sums = vectors[a] + vectors[b]
+        error = np.linalg.norm((vectors - sums[:, np.newaxis]) @ inverse[index], axis=2)
+        c, each = error.argmin(axis=1), np.arange(len(a))
+        side = 0.5 * (length[a] + length[b])
+        # A disc in the middle: these four belong to every other row and column only.
+        middle = np.linalg.norm((vectors - 0.5 * sums[:, np.newaxis]) @ inverse[index], axis=2).min(axis=1)
+        closed = (c != a) & (c != b) & (error[each, c] <= _CLOSES * side) & (middle > _CLOSES * side)
+        unlike = error[each, c] / side + np.abs(cosine[a, b]) + np.abs(length[a] - length[b]) / side
+        rank = unlike + 0.1 * side
+        for one in np.flatnonzero(closed):
+            seed = index, int(others[a[one]]), int(others[b[one]]), int(others[c[one]])
+            candidates.append((float(rank[one]), seed))
     candidates.sort()
     return _seeds_apart(candidates)
 
@@ -162,8 +164,9 @@ def _grow(discs: Discs, seed: tuple[int, int, int, int], free: NDArray[np.bool_]
     used = ~free
     used[list(seed)] = True
     rejected: set[tuple[Position, int]] = set()
+    places = centres.tolist()  # Python's own numbers: pairs are too small for arrays
     while True:
-        best = _predictions(nodes, centres, rejected)
+        best = _predictions(nodes, places, rejected)
         if not best:
             return nodes
         for support, position, guess, step, beside in best:
@@ -182,34 +185,41 @@ def _grow(discs: Discs, seed: tuple[int, int, int, int], free: NDArray[np.bool_]
 
 
 def _predictions(
-    nodes: dict[Position, int], centres: Array, rejected: set[tuple[Position, int]]
-) -> list[tuple[int, Position, Array, float, int]]:
+    nodes: dict[Position, int], centres: list[list[float]], rejected: set[tuple[Position, int]]
+) -> list[tuple[int, Position, tuple[float, float], float, int]]:
     """Empty positions beside the lattice, best supported first: support, position, pixel, step length, neighbour."""
     around = {(a + da, b + db) for a, b in nodes for da, db in _STEPS if (a + da, b + db) not in nodes}
     candidates = []
     for a, b in sorted(around):
-        guesses, steps, beside = [], [], -1
+        u, v, steps, beside = 0.0, 0.0, [], -1
         for da, db in _STEPS:
             one = nodes.get((a - da, b - db))
             if one is None:
                 continue
             beside = one
-            two, three = nodes.get((a - 2 * da, b - 2 * db)), nodes.get((a - 3 * da, b - 3 * db))
+            (u1, v1), two = centres[one], nodes.get((a - 2 * da, b - 2 * db))
             if two is not None:
-                step = centres[one] - centres[two]
-                steps.append(step)
-                # In perspective steps change by a factor; the last change is continued.
-                change = step - (centres[two] - centres[three]) if three is not None else 0.0
-                guesses.append(centres[one] + step + change)
+                du, dv = _step(centres[two], centres[one])
+                steps.append(math.hypot(du, dv))
+                u, v = u + u1 + du, v + v1 + dv
+                three = nodes.get((a - 3 * da, b - 3 * db))
+                if three is not None:
+                    # In perspective steps change by a factor; the last change is continued.
+                    before_u, before_v = _step(centres[three], centres[two])
+                    u, v = u + du - before_u, v + dv - before_v
             for sa, sb in ((db, da), (-db, -da)):
                 side, corner = nodes.get((a + sa, b + sb)), nodes.get((a - da + sa, b - db + sb))
                 if side is not None and corner is not None:
-                    step = centres[side] - centres[corner]
-                    steps.append(step)
-                    guesses.append(centres[one] + step)
-        if guesses and ((a, b), len(guesses)) not in rejected:
-            length = float(np.min([np.linalg.norm(step) for step in steps]))
-            candidates.append((len(guesses), (a, b), np.mean(guesses, axis=0), length, beside))
+                    du, dv = _step(centres[corner], centres[side])
+                    steps.append(math.hypot(du, dv))
+                    u, v = u + u1 + du, v + v1 + dv
+        support = len(steps)
+        if support and ((a, b), support) not in rejected:
+            candidates.append((support, (a, b), (u / support, v / support), min(steps), beside))
     candidates.sort(key=lambda item: -item[0])
     most = candidates[0][0] if candidates else 0
     return [item for item in candidates if item[0] >= min(most, 3)] if most else []
+
+
+def _step(start: list[float], end: list[float]) -> tuple[float, float]:
+    return end[0] - start[0], end[1] - start[1]
