@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -97,23 +98,13 @@ def _geometry(
     key = (id(device), id(projector), str(board), pose[0].tobytes() + pose[1].tobytes())
     if key not in _CACHE:
         _CACHE.clear()
-        width, height = device.size
-        # The distortion is removed at the pixels' corners; inside a pixel a straight line differs by less than 1e-4
-        # pixels.
-        corners = np.meshgrid(np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5)
-        coarse = device.normalise(np.stack(corners, axis=-1))
-        share = (np.arange(SUB) + 0.5) / SUB
-        rows = coarse[:-1, None] + share[:, None, None] * (coarse[1:, None] - coarse[:-1, None])
-        rows = rows.reshape(height * SUB, width + 1, 2)
-        ideal = rows[:, :-1, None] + share[:, None] * (rows[:, 1:, None] - rows[:, :-1, None])
-        ideal = ideal.reshape(height * SUB, width * SUB, 2)
-        rays = np.concatenate([ideal, np.ones((*ideal.shape[:2], 1))], axis=-1) @ device.rotation
+        rays = _rays(device)
         turn, position = pose
         normal = turn[:, 2]
         depth = ((position - device.centre) @ normal) / (rays @ normal)
         world = device.centre + depth[..., None] * rays
         plane = (world - position) @ turn
-        sheet, origin = raster(board, STEP_MM)
+        sheet, origin = _sheet(board)
         at = ((plane[..., :2] - origin) / STEP_MM).astype(np.float32)
         albedo = cv2.remap(sheet, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0.25)
         lit = None
@@ -121,6 +112,27 @@ def _geometry(
             lit = projector.project(world.reshape(-1, 3)).reshape(*world.shape[:2], 2).astype(np.float32)
         _CACHE[key] = albedo, lit
     return _CACHE[key]
+
+
+@lru_cache(maxsize=4)
+def _rays(device: CameraModel) -> np.ndarray:
+    """Directions (SUB H, SUB W, 3) in the world, z = 1 in the device; the same for every pose."""
+    width, height = device.size
+    # The distortion is removed at the pixels' corners; inside a pixel a straight line differs by less than 1e-4
+    # pixels.
+    corners = np.meshgrid(np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5)
+    coarse = device.normalise(np.stack(corners, axis=-1))
+    share = (np.arange(SUB) + 0.5) / SUB
+    rows = coarse[:-1, None] + share[:, None, None] * (coarse[1:, None] - coarse[:-1, None])
+    rows = rows.reshape(height * SUB, width + 1, 2)
+    ideal = rows[:, :-1, None] + share[:, None] * (rows[:, 1:, None] - rows[:, :-1, None])
+    ideal = ideal.reshape(height * SUB, width * SUB, 2)
+    return np.concatenate([ideal, np.ones((*ideal.shape[:2], 1))], axis=-1) @ device.rotation
+
+
+@lru_cache(maxsize=4)
+def _sheet(board: Board) -> tuple[np.ndarray, tuple[float, float]]:
+    return raster(board, STEP_MM)
 
 
 def write_pairs(

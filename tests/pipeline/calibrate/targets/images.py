@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -45,7 +46,7 @@ def clean(board, device, pose, *, blur_px=0.7, shade=(0.0, 0.0), light=200.0, da
     """
     rotation, translation = pose.of(board)
     width, height = device.size
-    rays = np.concatenate([device.rays(), np.ones((height, width, 1))], axis=2)
+    rays = _rays(device)
     normal = rotation[:, 2]
     depth = (normal @ translation) / (rays @ normal)
     at = (rays * depth[..., None] - translation) @ rotation[:, :2]
@@ -61,6 +62,12 @@ def clean(board, device, pose, *, blur_px=0.7, shade=(0.0, 0.0), light=200.0, da
     if blur_px:
         seen = cv2.GaussianBlur(seen, (0, 0), blur_px * ss)
     return cv2.resize(seen, (width, height), interpolation=cv2.INTER_AREA)
+
+
+@lru_cache(maxsize=4)
+def _rays(device):
+    """(H, W, 3); one device sees many poses."""
+    return np.dstack([device.rays(), np.ones(device.size[::-1])])
 
 
 def noisy(light, seed=0, *, full_well=10_000.0, read_dn=0.8, gain=1.0):
