@@ -6,10 +6,12 @@ import os
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import pytest
 
+from daemon.cli import entry
 from tests.golden.make import TAKE
 
 RIG = """\
@@ -35,6 +37,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "record --name ../../x rig.yaml": ("the name '../../x'",),
     "record start --name ../../x": ("the name '../../x'",),
     "snapshot --name ../../x": ("the name '../../x'",),
+    "demo --scene nosuch": ("--scene is 'nosuch', expected one of plane",),
     "demo --scene nosuch --no-view": ("--scene is 'nosuch', expected one of plane",),
     "demo --mesh nope.ply --no-view": ("nope.ply",),
     "demo --mesh rig.yaml --no-view --frames 1 --small": ("rig.yaml cannot be read",),
@@ -82,13 +85,27 @@ def fringed(folder: Path, *arguments: str) -> tuple[int, str, float]:
     return done.returncode, done.stderr, time.monotonic() - start_s
 
 
-@pytest.mark.parametrize("line", CASES)
-def test_a_wrong_input_is_answered_by_one_sentence_and_status_2(line: str, folder: Path) -> None:
-    status, answer, _ = fringed(folder, *line.split())
+@pytest.fixture
+def at_the_prompt(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The directory and the environment of :func:`fringed` for commands that run in the tests' process."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr("warnings.showwarning", warnings.showwarning)  # a command replaces it
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "run"))
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def expect_one_sentence(line: str, status: int, answer: str) -> None:
     answer = "".join(row for row in answer.splitlines(keepends=True) if not row.startswith("Rendering"))
     assert status == 2 and answer.count("\n") == 1 and answer.startswith("fringed: "), answer
     assert "Traceback" not in answer and ".py" not in answer and "demo-" not in answer and "[Errno" not in answer
     assert all(part in answer for part in CASES[line]), answer
+
+
+@pytest.mark.usefixtures("at_the_prompt")
+@pytest.mark.parametrize("line", CASES)
+def test_a_wrong_input_is_answered_by_one_sentence_and_status_2(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    expect_one_sentence(line, entry.run(line.split()), capsys.readouterr().err)
 
 
 def test_a_rig_file_is_answered_by_one_line_for_each_mistake(folder: Path) -> None:
@@ -100,6 +117,12 @@ def test_a_rig_file_is_answered_by_one_line_for_each_mistake(folder: Path) -> No
 
 @pytest.mark.alone
 @pytest.mark.parametrize("line", ["mode", "record stop", "replay", "run nope.yaml", "demo --scene nosuch", "view"])
-def test_the_answer_comes_within_a_second_and_a_half(line: str, folder: Path) -> None:
+def test_a_process_answers_within_a_second_and_a_half(line: str, folder: Path) -> None:
     """The limit is one second on an idle machine: the rest is for a busy one."""
-    assert min(fringed(folder, *line.split())[2] for _ in range(3)) < 1.5
+
+    def elapsed_s() -> float:
+        status, answer, elapsed = fringed(folder, *line.split())
+        expect_one_sentence(line, status, answer)
+        return elapsed
+
+    assert any(elapsed_s() < 1.5 for _ in range(3))
