@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -48,21 +48,13 @@ def scheduler(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 @contextmanager
-def workers(address: str, count: int, folder: Path, *options: str) -> Iterator[list[subprocess.Popen[str]]]:
-    """Worker commands of one process each, registered at the scheduler."""
+def workers(address: str, count: int, folder: Path, *options: str) -> Iterator[None]:
+    """A worker command of that many processes, registered at the scheduler."""
     from distributed import Client
 
-    with ExitStack() as stack:
-        environment = os.environ | {"DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "0.95"}
-        made = [
-            stack.enter_context(
-                process(
-                    command("worker", address, "--workers", 1, *options), stderr=subprocess.DEVNULL, cwd=folder,
-                    env=environment,
-                )
-            )
-            for _ in range(count)
-        ]  # fmt: skip
+    environment = os.environ | {"DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "0.95"}
+    start = command("worker", address, "--workers", count, *options)
+    with process(start, stderr=subprocess.DEVNULL, cwd=folder, env=environment):
         with Client(address, set_as_default=False) as client:
             client.wait_for_workers(count, timeout=60)
-        yield made
+        yield

@@ -64,7 +64,7 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Failing]:
 def test_three_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
     store: Failing, tmp_path: Path, images: list[small_take.Images], outage_s: float
 ) -> None:
-    take = write(tmp_path / "a.mcap", images, 40)
+    take = write(tmp_path / "a.mcap", images, 32)
     data = take.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) // 2])
