@@ -1,15 +1,17 @@
-"""Rendered pairs, kept on disk: each is rendered once, for all workers and for later runs of the tests.
+"""Rendered images, kept on disk: each is rendered once, for all workers and for later runs of the tests.
 
-The digest of the renderer's sources names the folder, that of the arguments the file.
+The digest of the renderer's sources names the folder, that of the function and its arguments the file.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
+import inspect
 import os
 import pickle
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,9 @@ from sim.scene.scene import Scene
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / ".pytest_cache" / "renders"
-SOURCES = "sim/render", "sim/rig", "sim/scene", "pipeline/common", "pipeline/pattern", "pipeline/rig"
+SOURCES = (
+    "sim/devices", "sim/render", "sim/rig", "sim/scene", "pipeline/common", "pipeline/pattern", "pipeline/rig",
+)  # fmt: skip
 
 
 def render_pair(
@@ -34,12 +38,19 @@ def render_pair(
     encoding: str = "rgb8",
 ) -> RenderedPair:
     """What :func:`sim.render.render_pair.render_pair` returns, for tests of which the renderer is not the subject."""
-    arguments = layout, scene, pattern, Optics() if optics is None else optics, t_s, seed, encoding
-    path = folder() / f"{hashlib.sha256(pickle.dumps(arguments)).hexdigest()}.pickle"
+    optics = Optics() if optics is None else optics
+    made: RenderedPair = stored(renderer.render_pair, layout, scene, pattern, optics, t_s, seed, encoding)
+    return made
+
+
+def stored(make: Callable[..., Any], *arguments: object) -> Any:
+    """What ``make(*arguments)`` returns; both can be pickled, and it depends on nothing else but ``SOURCES``."""
+    digest = hashlib.sha256(Path(inspect.getfile(make)).read_bytes())
+    digest.update(pickle.dumps((make.__module__, make.__qualname__, arguments)))
+    path = folder() / f"{digest.hexdigest()}.pickle"
     if path.exists():
-        made: RenderedPair = pickle.loads(path.read_bytes())
-        return made
-    made = renderer.render_pair(*arguments)
+        return pickle.loads(path.read_bytes())
+    made = make(*arguments)
     partial = path.with_suffix(f".{os.getpid()}")
     partial.write_bytes(pickle.dumps(made, protocol=5))
     partial.replace(path)

@@ -15,6 +15,7 @@ from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
 from sim.scene.scene import Scene
 from sim.scene.shapes import Motion, plane
+from tests.renders import stored
 
 LAYOUT, OPTICS = RigLayout().scaled(0.25), Optics()
 SETTINGS = Settings(cluster_min_area=20)
@@ -36,6 +37,10 @@ def made(mode, encoding="rgb8", optics=OPTICS, **options):
 @functools.cache
 def taken(mode, encoding="rgb8", scene="mixed", optics=OPTICS):
     """Left and right images of a scene at rest."""
+    return stored(_at_rest, mode, encoding, scene, optics)
+
+
+def _at_rest(mode, encoding, scene, optics):
     stage = Stage(LAYOUT, build(scene), optics, encoding=encoding)
     response = LAYOUT.calibration_for(optics).response if optics.precorrected else None
     return _sides(
@@ -46,12 +51,16 @@ def taken(mode, encoding="rgb8", scene="mixed", optics=OPTICS):
 
 @functools.cache
 def truth(scene="mixed"):
-    return truths(LAYOUT, build(scene))[0]
+    return stored(truths, LAYOUT, build(scene))[0]
 
 
 @functools.cache
 def in_motion(mode, speed_m_s):
     """Left and right images of a plane that moves away from the rig, each taken at its own time."""
+    return stored(_moving_plane, mode, speed_m_s)
+
+
+def _moving_plane(mode, speed_m_s):
     motion = Motion(swing_mm=(0.0, 0.0, 400.0))
     shape = plane().placed((0, 0, 0), albedo=0.8, motion=motion)
     scene = Scene("moving plane", (shape,), period_s=2 * pi * 0.4 / speed_m_s)
