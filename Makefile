@@ -118,7 +118,7 @@ vm: $(RIG)  ## virtual machine with a real kernel for the V4L2 driver; cached, h
 	tools/system-packages vm
 	PYTHON=$(BIN)/python tools/vm/build
 
-release: $(DEV)  ## wheels of both distributions in dist/, with compiled kernels; ten minutes on two cores
+release: check  ## checks, wheels of both distributions with compiled kernels and checksums in dist/, and their installation; ten minutes
 	$(BIN)/python -m tools.release $(RELEASE)
 
 install: $(RIG)  ## install the daemon on this machine as a systemd service; options in INSTALL="--rig rig.yaml"

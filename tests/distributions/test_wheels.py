@@ -13,14 +13,15 @@ from pathlib import Path
 
 import pytest
 
-from tools.release import ROOT, build_wheels
+from tools.release import ROOT, build_wheels, write_checksums
+from tools.release_check import check_versions
 
 OWN = "daemon", "drivers", "pipeline", "sim", "fringed"
 
 
 @pytest.fixture(scope="module")
 def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    built = build_wheels(tmp_path_factory.mktemp("dist"), None, ["--no-build-isolation"])
+    built = build_wheels(tmp_path_factory.mktemp("dist"), None)
     return {path.name.split("-")[0]: path for path in built}
 
 
@@ -40,14 +41,42 @@ def test_every_file_is_in_one_wheel(wheels: dict[str, Path]) -> None:
     assert shared == expected | {"constraints.txt", "LICENSE", "schema/fringed.schema.json"}
 
 
-def test_both_have_one_version() -> None:
+def test_the_checksums_are_those_of_all_files(tmp_path: Path) -> None:
+    for name in ("a.whl", "kernels/b.json"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(name)
+    sums = write_checksums(tmp_path)
+    check = ["sha256sum", "--check", "--strict", write_checksums(tmp_path).name]
+    assert len(sums.read_text().splitlines()) == 2
+    assert subprocess.run(check, cwd=tmp_path, capture_output=True, check=False).returncode == 0
+    (tmp_path / "kernels/b.json").write_text("other")
+    assert subprocess.run(check, cwd=tmp_path, capture_output=True, check=False).returncode == 1
+
+
+PLACES = {
+    "pyproject.toml": "version = ",
+    "distributions/rig/pyproject.toml": '"fringed==',
+    "CITATION.cff": "version: ",
+    "CHANGELOG.md": "## ",
+}
+
+
+def test_one_version_is_named_everywhere() -> None:
     client, rig = (
         tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"] for folder in ("", "distributions/rig")
     )
-    assert client["version"] == rig["version"]
-    assert f"fringed=={client['version']}" in rig["dependencies"]
-    assert client["optional-dependencies"]["cli"] == [f"fringed-rig=={client['version']}"]
+    assert check_versions(ROOT) == client["version"]
     assert client["requires-python"] == rig["requires-python"]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_another_version_at_one_place_is_named(place: str, tmp_path: Path) -> None:
+    for name in PLACES:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        text = (ROOT / name).read_text()
+        (tmp_path / name).write_text(text.replace(PLACES[name] + "0", PLACES[name] + "9") if name == place else text)
+    with pytest.raises(ValueError, match=rf"^versions differ: .*{place}.*: 9\."):
+        check_versions(tmp_path)
 
 
 @pytest.fixture

@@ -5,10 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import platform
-import subprocess
 import sys
 import sysconfig
-import venv
 from pathlib import Path
 
 import pytest
@@ -17,6 +15,7 @@ from daemon.kernels import cache, release
 from daemon.kernels.archive import pack
 from daemon.kernels.jobs import MEASURE, measuring_jobs
 from tools.release import build_wheels, compile_archive
+from tools.release_check import compilations, new_environment
 
 PYTHON = f"cp{sys.version_info.major}{sys.version_info.minor}"
 NAMES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_CACHE_DIR"
@@ -137,47 +136,6 @@ def test_what_cannot_be_used_is_compiled_with_a_logged_reason(
     assert cache.compiled_jobs() == frozenset()
 
 
-_PROGRAM = """
-import sys
-from daemon.kernels.release import select
-select()
-from numba.core import event
-import pipeline.reconstruct.reconstructor  # as a replay has it; numba makes its folders
-from daemon.kernels.jobs import run_job
-from daemon.kernels.processes import compile_kernels
-jobs = sys.argv[1:]
-with event.install_recorder("numba:compile") as recorder:
-    compile_kernels(jobs)
-    for job in jobs:
-        run_job(job)
-import daemon
-print(len(recorder.buffer), daemon.__file__)
-"""
-
-
-def environment_with(wheels: list[Path], folder: Path) -> Path:
-    """A new environment with these wheels, and all other packages from this one; returns its Python."""
-    venv.create(folder, with_pip=False, symlinks=True)
-    python = folder / "bin/python"
-    command = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet", "--no-deps", "--no-index"]
-    subprocess.run([*command, *map(str, wheels)], check=True, capture_output=True)
-    (own,) = folder.glob("lib/python3.*/site-packages")
-    (own / "others.pth").write_text(f"{sysconfig.get_paths()['purelib']}\n")
-    return python
-
-
-def compilations(python: Path, folder: Path, jobs: list[str]) -> tuple[int, str]:
-    """Number of functions that jobs compile in an environment with an empty cache, and what was logged."""
-    plain = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "NUMBA"))}
-    done = subprocess.run(
-        [python, "-P", "-c", _PROGRAM, *jobs], env=plain | {"XDG_CACHE_HOME": str(folder / "cache")}, cwd=folder,
-        capture_output=True, text=True, timeout=60, check=True,
-    )  # fmt: skip
-    count, _, place = done.stdout.strip().partition(" ")
-    assert Path(place).is_relative_to(folder), "the program did not run from the wheel"
-    return int(count), done.stderr
-
-
 @pytest.mark.slow
 def test_an_installed_wheel_compiles_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
@@ -185,6 +143,8 @@ def test_an_installed_wheel_compiles_nothing(tmp_path: Path, monkeypatch: pytest
         pytest.skip("kernels are shipped for x86-64-v3 and v4, which this processor cannot run")
     jobs = [job for job in measuring_jobs("rgb8") if job.startswith(MEASURE) and "check and" in job]
     compile_archive(release.levels()[0], tmp_path / "kernels", jobs)
-    wheels = build_wheels(tmp_path, tmp_path / "kernels", ["--no-build-isolation"])
-    python = environment_with(wheels, tmp_path / "env")
-    assert compilations(python, tmp_path, jobs) == (0, "")
+    wheels = build_wheels(tmp_path, tmp_path / "kernels")
+    python = new_environment(tmp_path / "env", wheels, ["--no-deps", "--no-index"])
+    (own,) = (tmp_path / "env").glob("lib/python3.*/site-packages")
+    (own / "others.pth").write_text(f"{sysconfig.get_paths()['purelib']}\n")  # all other packages, of this environment
+    assert compilations(python, tmp_path, release.levels()[0], jobs) == (0, "")
