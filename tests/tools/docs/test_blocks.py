@@ -127,7 +127,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
     finally:
         process.terminate()
-        process.wait(30)
+        process.wait(100)  # compiling, which a page may cause, ends with the function in work
 
 
 def state(client: ControlClient) -> Any:
