@@ -120,9 +120,9 @@ def test_measuring_in_other_units_gives_the_same_shape(pair, cloud):
     assert np.abs(big.xyz[both] / 2.5 - cloud.xyz[both]).max() < 0.02
     # The right image's variance is that of the nearest pixel, which rounding may exchange for its neighbour; rounding
     # may also decide whether a pixel at a border is matched a third time. At borders sigma follows small differences
-    # of depth.
+    # of depth. The surface's inclination is taken from places in the right image in eighths of a pixel.
     changes = np.abs(big.sigma_mm[both] / 2.5 / cloud.sigma_mm[both] - 1)
-    assert np.quantile(changes, 0.999) < 3e-3
+    assert np.quantile(changes, 0.999) < 5e-3
     assert np.mean(changes > 0.05) < 1e-4
 
 
