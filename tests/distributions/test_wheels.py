@@ -54,7 +54,7 @@ def test_the_checksums_are_those_of_all_files(tmp_path: Path) -> None:
 
 
 PLACES = {
-    "pyproject.toml": "version = ",
+    "pyproject.toml": 'version = "',
     "distributions/rig/pyproject.toml": '"fringed==',
     "CITATION.cff": "version: ",
     "CHANGELOG.md": "## ",
