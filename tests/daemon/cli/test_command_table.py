@@ -78,3 +78,12 @@ def test_without_the_packages_of_a_rig_the_installation_is_described() -> None:
     )
     assert process.returncode == 2
     assert "pip install fringed-rig" in process.stderr and "Traceback" not in process.stderr
+
+
+def test_a_command_ends_without_a_garbage_collection() -> None:
+    """The compiler's objects took half a second of processor time."""
+    process = python(
+        "import atexit, gc, sys; from daemon.cli import entry; sys.argv = ['fringed', '--version']\n"
+        "atexit.register(lambda: print(gc.get_freeze_count() > 0)); entry.main()"
+    )
+    assert process.returncode == 0 and process.stdout.splitlines()[-1] == "True", process.stderr
