@@ -1,4 +1,4 @@
-"""Thousands of triggers with random faults: no wrong pair, every whole pair measured, nothing leaks."""
+"""Thousands of triggers with random faults: no wrong pair, every whole pair measured, nothing leaks (memory: long)."""
 
 from __future__ import annotations
 
