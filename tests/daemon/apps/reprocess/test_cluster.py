@@ -89,11 +89,13 @@ def test_a_local_cluster_gives_the_results_and_a_report(
 
 def test_killed_workers_cost_no_result(sources: Path, tmp_path: Path, expected: Expected, engine: DaskEngine) -> None:
     killed: list[int] = []
+    interrupted: set[str] = set()  # tasks of the first: a second death would end them
 
     def kill_one(totals: object) -> None:
-        if len(killed) < 2 and getattr(totals, "computed", 0) > 8 * len(killed):
-            children = engine._client.run(os.getpid)
-            victim = next(iter(children.values()))
+        waiting = interrupted & {future.key for future in engine._pending}
+        if len(killed) < 2 and getattr(totals, "computed", 0) > 8 * len(killed) and not waiting:
+            address, victim = next(iter(engine._client.run(os.getpid).items()))
+            interrupted.update(engine._client.processing()[address])
             os.kill(victim, signal.SIGKILL)
             killed.append(victim)
 
