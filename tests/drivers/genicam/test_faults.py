@@ -147,7 +147,7 @@ def test_pulses_that_come_too_soon_are_counted_and_move_no_number(running: tuple
     assert counter(camera, "lost") == 0
 
 
-@pytest.mark.parametrize("drift_ppm", [-100.0, 100.0])
+@pytest.mark.parametrize("drift_ppm", [pytest.param(-100.0, marks=pytest.mark.long), 100.0])
 def test_exposure_times_follow_a_clock_that_drifts(running: tuple[Cable, Camera], drift_ppm: float) -> None:
     cable, camera = running
     cable.set_clock(5 * 10**15, drift_ppm)

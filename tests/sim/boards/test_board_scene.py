@@ -81,7 +81,13 @@ def test_the_centroid_of_a_tilted_circle_is_not_the_image_of_its_centre(quarter)
 
 
 @pytest.mark.parametrize(
-    "text", ["circles:11x9:32:20", "acircles:5x9:60", "chessboard:9x6:34", "charuco:10x7:32:23:DICT_4X4_100"]
+    "text",
+    [
+        "circles:11x9:32:20",
+        pytest.param("acircles:5x9:60", marks=pytest.mark.long),
+        pytest.param("chessboard:9x6:34", marks=pytest.mark.long),
+        "charuco:10x7:32:23:DICT_4X4_100",
+    ],
 )
 def test_images_of_boards_do_not_depend_on_the_number_of_rays(text):
     board, layout = parse_board(text), RigLayout().scaled(0.125)

@@ -56,12 +56,17 @@ def test_symmetries_map_the_marks_onto_themselves(text, count):
         assert np.linalg.det(s.rotation) == pytest.approx(1)
 
 
+REPAIRED = [
+    (DEFAULT_BOARD, "turned by 180 degrees", "left"), (SQUARE, "turned by 90 degrees", "right"),
+    (SQUARE, "turned by 270 degrees", "projector"), (DEFAULT_BOARD, "mirrored left to right", "right"),
+    (DEFAULT_BOARD, "mirrored top to bottom", "left"),
+]  # fmt: skip
+OTHERS = [(board, motion, d) for board, motion, done in REPAIRED for d in ("left", "right", "projector") if d != done]
+
+
 @pytest.mark.parametrize(
-    ("board", "motion"),
-    [(DEFAULT_BOARD, "turned by 180 degrees"), (SQUARE, "turned by 90 degrees"), (SQUARE, "turned by 270 degrees"),
-     (DEFAULT_BOARD, "mirrored left to right"), (DEFAULT_BOARD, "mirrored top to bottom")],
-)  # fmt: skip
-@pytest.mark.parametrize("device", ["left", "right", "projector"])
+    ("board", "motion", "device"), [*REPAIRED, *(pytest.param(*case, marks=pytest.mark.long) for case in OTHERS)]
+)
 def test_one_view_numbered_otherwise_is_repaired(board, motion, device):
     views, sizes, _ = session(board, sigma=0.03)
     straight = as_numbered(board)

@@ -81,7 +81,7 @@ def test_a_known_rig_as_start_leads_to_the_same_end():
         assert abs(value - helped.values[name]) < 1e-3 * max(free.sigma[name], 1e-9), name
 
 
-@pytest.mark.parametrize("diameter_mm", [20.0, 0.0])
+@pytest.mark.parametrize("diameter_mm", [pytest.param(20.0, marks=pytest.mark.long), 0.0])
 def test_centroids_of_circles_are_predicted_as_centroids(diameter_mm):
     """With the offset of each circle predicted the rig is exact; the circles' diameter comes from their areas."""
     views, sizes, truth = session(devices=("left", "right"))

@@ -64,7 +64,7 @@ def test_a_board_that_moved_between_the_images_is_rejected_with_the_reason(clean
     assert two.views_rejected == 1 and two.poses[4] is None
 
 
-@pytest.mark.parametrize("by_px", [1.0, 4.0])
+@pytest.mark.parametrize("by_px", [1.0, pytest.param(4.0, marks=pytest.mark.long)])
 def test_a_slightly_displaced_image_is_rejected(clean, by_px):
     """A board moved by half a millimetre between left and right: each image alone is exact."""
     views, sizes, _, without = clean

@@ -29,7 +29,7 @@ def solved(**options):
     return board, calibrate_color(board.capture(sequence), sequence, encoding=board.encoding, calibration=rig())
 
 
-@pytest.mark.parametrize("encoding", ["rgb8", "bayer_grbg8"])
+@pytest.mark.parametrize("encoding", ["rgb8", pytest.param("bayer_grbg8", marks=pytest.mark.long)])
 def test_crosstalk_and_response_are_estimated(encoding):
     board, found = solved(encoding=encoding)
     for side, model in enumerate((found.left, found.right)):

@@ -182,7 +182,13 @@ def test_correlated_noise_of_demosaicing_is_counted(tilted):
 
 
 @pytest.mark.parametrize(
-    "text", ["circles:11x9:32:20", "acircles:7x13:36:14", "circles:8x8:32:20", "acircles:6x12:36:14"]
+    "text",
+    [
+        "circles:11x9:32:20",
+        pytest.param("acircles:7x13:36:14", marks=pytest.mark.long),
+        pytest.param("circles:8x8:32:20", marks=pytest.mark.long),
+        "acircles:6x12:36:14",
+    ],
 )
 def test_no_turn_of_the_board_mirrors_its_numbers_and_rows_run_right_or_down(text):
     board = parse_board(text)
