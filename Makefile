@@ -5,7 +5,8 @@ BIN    := $(VENV)/bin
 # Two stages of one environment: what the daemon, the demo and the benchmarks need, and what only tests and checks need.
 RIG    := $(VENV)/.rig
 DEV    := $(VENV)/.dev
-# One more than there are processors: many tests wait for emulated devices, time-outs or systemd.
+# One more than there are processors: many tests wait for emulated devices, time-outs or systemd. Each has one thread of
+# numba: threads of loops of microseconds that wait for each other on busy processors take twice the time.
 WORKERS ?= $(shell expr $$(nproc) + 1)
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 # Environment of the programs that `make bench` compares with.
@@ -38,7 +39,8 @@ demo: $(RIG)  ## measure a moving object on the simulated rig, live; prints the 
 test: $(DEV)  ## all checks: style, types, layers, tests but the long ones; twelve minutes on two cores
 	tools/system-packages browser x11 compiler systemd
 	$(MAKE) --no-print-directory check
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadgroup
+	NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadgroup -m 'not long and not threads'
+	$(BIN)/python -m pytest -m 'threads and not long'
 
 test-all: test  ## `make test`, then the long tests (full size, many repeats, virtual machine), each with its time
 	tools/system-packages vm pcl

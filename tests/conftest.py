@@ -78,6 +78,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items[:] = [item for group in groups for item in group]
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """A test that compares numbers of threads would pass with one."""
+    if item.get_closest_marker("threads") is not None and os.environ.get("NUMBA_NUM_THREADS") == "1":
+        pytest.fail("this test compares numbers of threads: run it without NUMBA_NUM_THREADS=1")
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Files are the units of work, but for tests with an ``xdist_group``."""

@@ -139,6 +139,7 @@ def test_a_stride_gives_the_normals_of_these_pixels():
     assert np.isnan(found[1::2]).all() and np.isnan(found[:, 1::2]).all()
 
 
+@pytest.mark.threads
 def test_the_number_of_threads_changes_no_bit_and_a_read_only_cloud_is_no_other():
     points = noisy(sphere(20.0)[0], 0.02)
     sigma = sigma_of(points)

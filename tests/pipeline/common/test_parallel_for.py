@@ -15,6 +15,8 @@ from numba.core import types
 from pipeline.common.jit import inline
 from pipeline.common.parallel_for import blocks, parallel
 
+pytestmark = pytest.mark.threads
+
 _own_thread = types.ExternalFunction("pthread_self", types.uint64())
 
 _AFTER_FORK = """

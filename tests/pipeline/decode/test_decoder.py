@@ -265,6 +265,7 @@ def test_the_normalised_phase_is_correct_up_to_the_border(encoding):
     assert bright[0].any() and bright[:, 0].any() and bright[-1].any()
 
 
+@pytest.mark.threads
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_gbrg8"])
 def test_the_result_does_not_depend_on_the_number_of_threads(encoding):
     raw = hard_image()

@@ -6,6 +6,7 @@ from typing import Any
 
 import numba
 import numpy as np
+import pytest
 
 from pipeline.common.parallel_for import blocks
 from pipeline.filter.border_model import FIGURES, MODEL
@@ -114,6 +115,7 @@ def test_a_border_that_is_near_in_the_right_image_only_counts_too() -> None:
     assert set(np.flatnonzero(near[0])) < set(np.flatnonzero(near[1])) and near[1].sum() > 7
 
 
+@pytest.mark.threads
 def test_the_test_does_not_depend_on_the_number_of_threads() -> None:
     most = numba.get_num_threads()
     results = []

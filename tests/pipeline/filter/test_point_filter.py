@@ -173,6 +173,7 @@ def _unique(
     return out
 
 
+@pytest.mark.threads
 def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unknown() -> None:
     rng = np.random.default_rng(7)
     shape, right, projector = (150, 200), (210, 150), (160, 120)

@@ -92,6 +92,7 @@ def test_pixels_without_a_match_are_marked_and_hold_no_sway() -> None:
     assert ((first.deviation == NO_MATCH) == (valid == 0)).all()
 
 
+@pytest.mark.threads
 def test_the_comparison_does_not_depend_on_the_number_of_threads() -> None:
     left, right = _images(np.random.default_rng(5))
     most = numba.get_num_threads()

@@ -81,6 +81,7 @@ def test_a_saturated_channel_is_left_out():
     assert found.wrong < 0.015
 
 
+@pytest.mark.threads
 def test_the_result_depends_neither_on_earlier_sets_nor_on_the_number_of_threads():
     for mode in MODES:
         fresh, other = made(mode, threads=1), made(mode, threads=2)

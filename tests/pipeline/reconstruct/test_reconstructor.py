@@ -88,6 +88,7 @@ def test_the_point_solves_the_four_equations_of_both_views(cloud):
     assert np.abs(again - points).max() < 1e-3
 
 
+@pytest.mark.threads
 def test_the_result_does_not_depend_on_the_number_of_threads(pair, cloud):
     for threads in (1, 2):
         again = reconstructor(threads=threads).reconstruct(pair.left, pair.right)

@@ -93,6 +93,7 @@ def test_a_pair_alone_does_not_depend_on_what_came_before(axis):
     assert same(found.reconstruct(*images(rendered, axis)), expected)
 
 
+@pytest.mark.threads
 def test_results_with_prior_do_not_depend_on_the_number_of_threads():
     for threads in (1, 2):
         found = calibrated("x", threads=threads)

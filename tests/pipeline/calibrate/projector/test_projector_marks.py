@@ -47,7 +47,9 @@ def test_the_centroid_of_a_circle_is_not_its_centre() -> None:
     assert right < wrong / 20
 
 
-@pytest.mark.parametrize(("phase_px", "mark_px"), [(0.2, 0.0), pytest.param(0.02, 0.02, marks=pytest.mark.long), (1.0, 0.02)])
+@pytest.mark.parametrize(
+    ("phase_px", "mark_px"), [(0.2, 0.0), pytest.param(0.02, 0.02, marks=pytest.mark.long), (1.0, 0.02)]
+)
 def test_the_scatter_agrees_with_the_sigma(phase_px: float, mark_px: float) -> None:
     true = true_marks(LAYOUT, CIRCLES, TILTED)["projector"]
     ratios = []
