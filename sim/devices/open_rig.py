@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from drivers.protocols import Camera, Clock, MovesBoard, Projector, Side
+from sim.devices.growing_loop import GrowingLoop
 from sim.devices.live_world import LiveScene, LiveWorld
 from sim.devices.options import SimOptions, from_mapping
 from sim.devices.projector import LiveProjector, SimProjector
-from sim.devices.rendered_loop import Progress, loops_of
+from sim.devices.rendered_loop import Progress, folder_of, loops_of, read
 from sim.devices.trigger_world import Images, SimWorld
 from sim.render.render_pair import image_sent
 from sim.rig import rig_files
@@ -28,6 +29,7 @@ class RigDevices:
             ends it and all devices. That of a live rig is a :class:`sim.devices.live_world.LiveWorld`.
         options: as checked.
         calibration, pattern, volume: plain mappings of the three files of such a rig.
+        growing: the loop that is rendered in the background.
     """
 
     cameras: Mapping[Side, Camera]
@@ -37,6 +39,7 @@ class RigDevices:
     calibration: Mapping[str, Any]
     pattern: Mapping[str, Any]
     volume: Mapping[str, float]
+    growing: GrowingLoop | None = None
 
     @property
     def board(self) -> MovesBoard | None:
@@ -44,8 +47,10 @@ class RigDevices:
         return self.trigger if isinstance(self.trigger, LiveWorld) else None
 
     def close(self) -> None:
-        """Stop the triggers and close all devices."""
+        """Stop the triggers and the rendering, and close all devices."""
         self.trigger.close()
+        if self.growing is not None:
+            self.growing.close()
 
 
 def open_rig(
@@ -85,6 +90,7 @@ def open_rig(
     }
     projector: SimProjector | LiveProjector
     world: SimWorld
+    growing: GrowingLoop | None = None
     if checked.live and images is None:
         projector = LiveProjector(shown)
         scene = LiveScene(checked, projector)
@@ -96,7 +102,9 @@ def open_rig(
         world = LiveWorld(scene, projector, layout.camera_size, checked.encoding, **settings)
     else:
         projector = SimProjector(shown)
-        source = loops_of(checked, progress) if images is None else images
+        if images is None and checked.background:
+            growing = _growing(checked, progress)
+        source = images if images is not None else growing or loops_of(checked, progress)
         world = SimWorld(source, projector, layout.camera_size, checked.encoding, **settings)
     return RigDevices(
         world.cameras,
@@ -106,4 +114,15 @@ def open_rig(
         rig_files.calibration_mapping(layout, optics),
         rig_files.pattern_mapping(layout),
         rig_files.volume_mapping(layout),
+        growing,
     )
+
+
+def _growing(options: SimOptions, progress: Progress | None) -> GrowingLoop | None:
+    """The loop rendered in the background; None where it is cached, or where there is no place for its files."""
+    if read(folder_of(options)) is not None:
+        return None
+    try:
+        return GrowingLoop(options, progress)
+    except OSError:
+        return None

@@ -46,6 +46,8 @@ class SimOptions:
         board: of the scene ``board``, such as ``circles:11x9:32:20``; poses: number of its poses in a live rig.
         hold: triggers after which the board of a live rig moves on by itself; 0 = only by ``trigger.next_pose()``.
         disturb: disturbances of the rig by trigger; the calibration is that of the undisturbed rig.
+        background: whether a loop that is not cached is shown from its first image on, while a process renders the
+            others; which image a trigger shows then depends on the time.
     """
 
     scene: str = "moving"
@@ -63,6 +65,7 @@ class SimOptions:
     poses: int = 12
     hold: int = 0
     disturb: tuple[Disturbance, ...] = ()
+    background: bool = False
 
     def __post_init__(self) -> None:
         _one_of("scene", self.scene, _SCENES)
@@ -75,6 +78,11 @@ class SimOptions:
             raise OptionError(f"sim.seed is {self.seed}, expected 0 or more")
         if self.scene == "mesh" and (self.mesh is None or not self.mesh.is_file()):
             raise OptionError(f"sim.mesh is {self.mesh}: scene 'mesh' needs an OBJ, PLY or STL file that exists")
+        if self.background and (self.live or self.disturb or self.rate_hz == 0):
+            raise OptionError(
+                "sim.background is true: only a loop without disturbances that is triggered in real time can be "
+                "rendered meanwhile; remove it, or sim.live, sim.disturb and sim.rate_hz: 0"
+            )
         self._check_board()
 
     def _check_board(self) -> None:
@@ -95,6 +103,7 @@ class SimOptions:
 
 _KINDS: dict[str, type] = {
     "scene": str, "encoding": str, "seed": int, "frames": int, "live": bool, "board": str, "poses": int, "hold": int,
+    "background": bool,
 }  # fmt: skip
 
 

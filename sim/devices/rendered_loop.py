@@ -12,7 +12,7 @@ import os
 import shutil
 import tempfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -70,13 +70,17 @@ def loops_of(options: SimOptions, progress: Progress | None = None) -> Loop | Sw
 
 def load_or_render(options: SimOptions, progress: Progress | None = None) -> Loop:
     """The loop of these options, from the cache if present; ``progress(done, of)`` is called while rendering."""
-    root = options.cache_dir or default_cache_dir()
-    folder = root / f"loop-{digest(options)[:24]}"
-    found = _read(folder)
+    folder = folder_of(options)
+    found = read(folder)
     if found is not None:
         return found
     loop = render_loop(options, progress)
     return _keep(loop, folder) or loop
+
+
+def folder_of(options: SimOptions) -> Path:
+    """Where the loop of these options is kept."""
+    return (options.cache_dir or default_cache_dir()) / f"loop-{digest(options)[:24]}"
 
 
 def default_cache_dir() -> Path:
@@ -105,20 +109,25 @@ def digest(options: SimOptions) -> str:
 
 
 def render_loop(options: SimOptions, progress: Progress | None = None) -> Loop:
-    """All images of the loop, after all disturbances; a scene at rest is rendered once and only the noise differs."""
-    scene = scene_of(options)
+    """All images of the loop, after all disturbances."""
     pairs = []
+    if progress is not None:
+        progress(0, options.frames)
+    for pair in rendered_pairs(options):
+        pairs.append(pair)
+        if progress is not None:
+            progress(len(pairs), options.frames)
+    return Loop(_frozen([left for left, _ in pairs]), _frozen([right for _, right in pairs]))
+
+
+def rendered_pairs(options: SimOptions) -> Iterator[tuple[Image, Image]]:
+    """The pairs of the loop in order; a scene at rest is rendered once and only the noise differs."""
+    scene = scene_of(options)
     counts = None
     for index in range(options.frames):
-        if progress is not None:
-            progress(index, options.frames)
         if counts is None or scene.moves:
             counts = _counts(options, scene, index)
-        noise_seed = options.seed * 1_000_003 + index
-        pairs.append(render_pair.with_noise(counts, options.optics, noise_seed, options.encoding))
-    if progress is not None:
-        progress(options.frames, options.frames)
-    return Loop(_frozen([left for left, _ in pairs]), _frozen([right for _, right in pairs]))
+        yield render_pair.with_noise(counts, options.optics, options.seed * 1_000_003 + index, options.encoding)
 
 
 def time_of(options: SimOptions, scene: Scene, index: int) -> float:
@@ -141,7 +150,7 @@ def _frozen(images: list[Image]) -> Image:
     return out
 
 
-def _read(folder: Path) -> Loop | None:
+def read(folder: Path) -> Loop | None:
     """The loop in a folder, or None if there is none or its checksums are wrong."""
     try:
         sums = json.loads((folder / "loop.json").read_text())["crc32"]
@@ -161,20 +170,24 @@ def _keep(loop: Loop, folder: Path) -> Loop | None:
     except OSError:
         return None
     try:
-        sums = {}
         for side, images in (("left", loop.left), ("right", loop.right)):
             _write(temporary / f"{side}.npy", images)
-            sums[side] = zlib.crc32(images.data)
-        (temporary / "loop.json").write_text(json.dumps({"crc32": sums}))
-        if folder.exists():
-            # The existing one has wrong checksums, or another process was faster and this one is as good.
-            shutil.rmtree(folder, ignore_errors=True)
-        temporary.rename(folder)
+        finish(temporary, folder, loop)
     except OSError:
-        return _read(folder)
+        return read(folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-    return _read(folder)
+    return read(folder)
+
+
+def finish(temporary: Path, folder: Path, loop: Loop) -> None:
+    """Add the checksums to a temporary folder with the images of a loop, and give it its name."""
+    sums = {"left": zlib.crc32(loop.left.data), "right": zlib.crc32(loop.right.data)}
+    (temporary / "loop.json").write_text(json.dumps({"crc32": sums}))
+    if folder.exists():
+        # The existing one has wrong checksums, or another process was faster and this one is as good.
+        shutil.rmtree(folder, ignore_errors=True)
+    temporary.rename(folder)
 
 
 def _write(path: Path, images: Image) -> None:

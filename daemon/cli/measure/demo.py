@@ -19,7 +19,10 @@ SMALL_SCALE = 0.25
 def main(
     scene: Annotated[str, typer.Option(help="Scene of the simulated rig: moving, face, spheres, ...")] = "moving",
     mesh: Annotated[Path | None, typer.Option(help="Show this OBJ, PLY or STL file instead.")] = None,
-    frames: Annotated[int, typer.Option(min=1, max=1000, help="Number of images, rendered at the start.")] = 12,
+    frames: Annotated[
+        int,
+        typer.Option(min=1, max=1000, help="Number of images; the first is measured while the others are rendered."),
+    ] = 12,
     rate: Annotated[float, typer.Option(min=0.1, max=200, help="Triggers per second.")] = 5.0,
     seconds: Annotated[float | None, typer.Option(min=1, help="Stop after this time.")] = None,
     view: Annotated[bool, typer.Option(help="Serve the viewer to a browser.")] = True,
@@ -39,7 +42,7 @@ def main(
     from daemon.cli.measure.demo_processes import Report, Viewer
     from daemon.cli.options.progress import rendering
     from daemon.common.errors import ConfigError, InputError
-    from daemon.kernels.jobs import measuring_jobs, rendering_jobs
+    from daemon.kernels.jobs import measuring_jobs
     from daemon.kernels.processes import compiling_ahead
     from fringed.control.address import control_endpoint, runtime_dir
 
@@ -53,7 +56,7 @@ def main(
         if viewer is not None:
             stack.callback(viewer.close)
         report = Report(seconds, stop=flag.request, viewer=viewer, echo=typer.echo, now_s=time.monotonic)
-        stack.enter_context(compiling_ahead((*rendering_jobs(["rgb8"]), *measuring_jobs("rgb8"))))
+        stack.enter_context(compiling_ahead(measuring_jobs("rgb8")))
         progress = stack.enter_context(rendering())
         typer.echo("Rendering the scene (cached for the next start), then measuring it live. Ctrl-C ends the demo.")
         option = "" if control == control_endpoint() else f" --endpoint {control}"
@@ -72,8 +75,7 @@ def options(
     section: dict[str, Any] = {"scene": scene, "frames": frames, "rate_hz": rate}
     if mesh is not None:
         section |= {"scene": "mesh", "mesh": str(mesh.resolve())}
-    if live:
-        section["live"] = True
+    section["live" if live else "background"] = True
     if small:
         section["layout"] = {"scale": SMALL_SCALE}
     return section

@@ -1,0 +1,48 @@
+"""Process that renders a loop for :mod:`sim.devices.growing_loop`; it ends with its parent.
+
+The first image has the priority of the parent, the others the lowest.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import sys
+from pathlib import Path
+
+from drivers.child_process import set_death_signal
+from sim.devices.growing_loop import READY, open_files
+from sim.devices.options import from_mapping
+from sim.devices.rendered_loop import finish, folder_of, rendered_pairs
+
+_LOWEST_PRIORITY = 19
+
+
+def main() -> None:
+    """Render, and give the folder its name; remove it when the process is ended before."""
+    values, name, parent = sys.argv[1:]
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    set_death_signal(signal.SIGTERM)
+    temporary, options = Path(name), from_mapping(json.loads(values))
+    try:
+        if os.getppid() != int(parent):
+            sys.exit("the process that started this one is gone")
+        loop, ready = open_files(temporary)
+        for index, (left, right) in enumerate(rendered_pairs(options)):
+            loop.left[index], loop.right[index] = left, right
+            ready[0] = index + 1
+            os.nice(_LOWEST_PRIORITY)
+        for path in temporary.glob("*.npy"):
+            with path.open("rb") as file:
+                os.fsync(file.fileno())
+        (temporary / READY).unlink()
+        finish(temporary, folder_of(options), loop)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()
