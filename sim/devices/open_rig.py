@@ -13,9 +13,11 @@ from sim.devices.live_world import LiveScene, LiveWorld
 from sim.devices.options import SimOptions, from_mapping
 from sim.devices.projector import LiveProjector, SimProjector
 from sim.devices.rendered_loop import Progress, folder_of, loops_of, read
+from sim.devices.scene_options import scene_of
 from sim.devices.trigger_world import Images, SimWorld
 from sim.render.render_pair import image_sent
 from sim.rig import rig_files
+from sim.scene.ray_hits import surfaces
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,6 +124,8 @@ def _growing(options: SimOptions, progress: Progress | None) -> GrowingLoop | No
     """The loop rendered in the background; None where it is cached, or where there is no place for its files."""
     if read(folder_of(options)) is not None:
         return None
+    if options.mesh is not None:  # what is wrong with it is reported here as for a loop that is rendered before
+        surfaces(scene_of(options), 0.0, options.layout.stage_pose())
     try:
         return GrowingLoop(options, progress)
     except OSError:

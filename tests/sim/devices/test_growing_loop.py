@@ -99,6 +99,8 @@ def test_a_scene_that_cannot_be_rendered_is_an_error(options: SimOptions, tmp_pa
     with pytest.raises(DriverError, match=r"^the process that renders the simulated rig ended: .*part\.obj"):
         GrowingLoop(replace(options, scene="mesh", mesh=tmp_path / "part.obj"))
     assert names(options) == []
+    with pytest.raises(ValueError, match=r"^mesh .*part\.obj"):
+        open_rig(replace(options, scene="mesh", mesh=tmp_path / "part.obj"))
 
 
 def test_a_rig_ends_its_rendering_and_does_without_where_the_loop_is_cached(options: SimOptions) -> None:
