@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from Xlib import X
 from Xlib.display import Display
+from Xlib.error import BadWindow
 
 from sim.box.xserver import Head, XServer, XServerError
 
@@ -51,8 +52,11 @@ def grab(server: XServer, head: int) -> NDArray[np.uint8]:
 
 def top_window(display: Display) -> Any:
     """The topmost window on the screen, which is the projector's while it is open; None if there is none."""
-    viewable = [w for w in display.screen().root.query_tree().children if w.get_attributes().map_state == X.IsViewable]
-    return viewable[-1] if viewable else None
+    for window in reversed(display.screen().root.query_tree().children):
+        with suppress(BadWindow):  # it may be destroyed between the two requests
+            if window.get_attributes().map_state == X.IsViewable:
+                return window
+    return None
 
 
 def crtc(display: Display, output: str) -> int:
