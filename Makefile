@@ -15,7 +15,7 @@ PEERS  := .bench-venv
 # Also where the caller forbids it: without compiled modules every process of ours, and every test, starts by compiling.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help env demo test test-all audit bench bench-calibration soak check golden protocol screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load bench-latency campaign bench-service docs docs-figures clean
+.PHONY: help env demo test pytest test-all audit bench bench-calibration soak check golden protocol screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load bench-latency campaign bench-service docs docs-figures clean
 .DEFAULT_GOAL := help
 
 help:
@@ -38,9 +38,12 @@ demo: $(RIG)  ## measure a moving object on the simulated rig, live; prints the 
 
 test: $(DEV)  ## all checks: style, types, layers, tests but the long ones; twelve minutes on two cores
 	tools/system-packages browser x11 compiler systemd
-	$(MAKE) --no-print-directory check
-	NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadgroup -m 'not long and not threads'
+	$(MAKE) --no-print-directory --jobs 2 check pytest
 	$(BIN)/python -m pytest -m 'threads and not long'
+
+# Beside `check`, whose longest part, mypy, has one thread.
+pytest: $(DEV)
+	NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadgroup -m 'not long and not threads'
 
 test-all: test  ## `make test`, then the long tests (full size, many repeats, virtual machine), each with its time
 	tools/system-packages vm pcl

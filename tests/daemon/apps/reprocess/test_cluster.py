@@ -35,7 +35,7 @@ Expected = dict[str, dict[str, bytes]]
 def sources(tmp_path_factory: pytest.TempPathFactory, images: Images) -> Path:
     """Two recordings, one of them cut off."""
     folder = tmp_path_factory.mktemp("takes")
-    data = write(folder / "whole.mcap", images, 32).read_bytes()
+    data = write(folder / "whole.mcap", images, 16).read_bytes()
     (folder / "cut.mcap").write_bytes(data[: int(0.7 * len(data))])
     return folder
 
@@ -77,7 +77,7 @@ def expect_results(expected: Expected, out: Path) -> None:
 def test_a_local_cluster_gives_the_results_and_a_report(
     sources: Path, tmp_path: Path, expected: Expected, fringed: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    done = fringed("reprocess", str(sources), "--out", str(tmp_path), "--workers", "2", "--chunk", "8")
+    done = fringed("reprocess", str(sources), "--out", str(tmp_path), "--workers", "2", "--chunk", "4")
     assert done.returncode == 0, done.stderr
     assert "2 workers; dashboard: http://127.0.0.1:" in done.stderr
     assert "the file was cut off at byte" in done.stderr
@@ -97,13 +97,13 @@ def test_killed_workers_cost_no_result(sources: Path, tmp_path: Path, expected: 
         return waiting or any(address in dask_scheduler.workers for address in killed)
 
     def kill_one(totals: object) -> None:
-        due = len(killed) < 2 and getattr(totals, "computed", 0) > 8 * len(killed)
+        due = len(killed) < 2 and getattr(totals, "computed", 0) > 4 * len(killed)
         if due and not engine._client.run_on_scheduler(interrupted):
             address, victim = next(iter(engine._client.run(os.getpid).items()))
             os.kill(victim, signal.SIGKILL)
             killed.append(address)
 
-    totals = Run(Job(chunk_pairs=4), tmp_path, engine, observe=kill_one).run(recordings_of([str(sources)]))
+    totals = Run(Job(chunk_pairs=2), tmp_path, engine, observe=kill_one).run(recordings_of([str(sources)]))
     assert len(killed) == 2 and not totals.failures
     expect_results(expected, tmp_path)
 
@@ -119,14 +119,14 @@ def test_after_the_death_of_the_scheduler_the_same_command_completes_the_results
     ):
 
         def kill_scheduler(totals: object) -> None:
-            if getattr(totals, "computed", 0) > 10:
+            if getattr(totals, "computed", 0) > 4:
                 process.kill()
 
-        run = Run(Job(chunk_pairs=4), out, lost, observe=kill_scheduler)
+        run = Run(Job(chunk_pairs=2), out, lost, observe=kill_scheduler)
         with pytest.raises(EngineLostError, match="run the same command again"):
             run.run(recordings_of([str(sources)]))
         wait_until(lambda: process.poll() is not None, 10, "the end of the scheduler")
-    totals = Run(Job(chunk_pairs=4), out, engine).run(recordings_of([str(sources)]))
+    totals = Run(Job(chunk_pairs=2), out, engine).run(recordings_of([str(sources)]))
     assert not totals.failures and totals.computed < totals.done == totals.items
     expect_results(expected, out)
 

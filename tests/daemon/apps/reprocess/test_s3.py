@@ -64,7 +64,7 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Failing]:
 def test_three_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
     store: Failing, tmp_path: Path, images: list[small_take.Images], outage_s: float
 ) -> None:
-    take = write(tmp_path / "a.mcap", images, 32)
+    take = write(tmp_path / "a.mcap", images, 12)
     data = take.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) // 2])
@@ -72,7 +72,7 @@ def test_three_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
         write_whole(location(f"s3://rig/in/{name}.mcap"), (tmp_path / f"{name}.mcap").read_bytes())
 
     def fail_once(totals: object) -> None:
-        if store.until_s == 0 and getattr(totals, "computed", 0) > 4:
+        if store.until_s == 0 and getattr(totals, "computed", 0) > 2:
             store.until_s = time.monotonic() + outage_s
 
     with (
@@ -80,14 +80,14 @@ def test_three_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
         cluster.workers(address, 3, tmp_path),
         connected(address) as engine,
     ):
-        run = Run(Job(chunk_pairs=4), location("s3://rig/out"), engine, observe=fail_once)
+        run = Run(Job(chunk_pairs=2), location("s3://rig/out"), engine, observe=fail_once)
         totals = run.run(recordings_of(["s3://rig/in"]))
         assert not totals.failures, totals.failures
         assert store.refused > 0
-        again = Run(Job(chunk_pairs=4), location("s3://rig/out"), engine).run(recordings_of(["s3://rig/in/*.mcap"]))
+        again = Run(Job(chunk_pairs=2), location("s3://rig/out"), engine).run(recordings_of(["s3://rig/in/*.mcap"]))
     assert (again.done, again.computed) == (totals.done, 0)
     for name in ("a", "cut"):
         expected = replayed(tmp_path / f"{name}.mcap")[0]
-        assert len(expected) > 10
+        assert len(expected) > 3
         for file, cloud in expected.items():
             assert read_if_there(location(f"s3://rig/out/{name}/{file}")) == cloud
