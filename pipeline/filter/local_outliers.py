@@ -1,18 +1,23 @@
-"""What disagrees with its immediate neighbourhood: residuals off their local mean, mixed pixels at borders."""
+"""What disagrees locally: residuals off their local mean, local means off zero, mixed pixels at borders."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
+from pipeline.match.match_result import MatchResult
 
 RADIUS = 3
 """Half width of the neighbourhood whose mean residual counts, pixels."""
 
 ROWS = 32
+MOST_MEAN = 300
+"""Steps; sums over a neighbourhood stay within 16 bits."""
+_SAMPLES = 800
 _YES, _NO = np.uint8(1), np.uint8(0)
 
 
@@ -42,7 +47,8 @@ def _across(x: Any, out: Any) -> None:
 
 @serial
 def _agreeing(
-    valid: Any, first: Any, second: Any, n: Any, sum1: Any, sum2: Any, window: Any, limit: int, largest: int, out: Any
+    valid: Any, first: Any, second: Any, n: Any, sum1: Any, sum2: Any, window: Any, limit: int, largest: int,
+    mean: int, out: Any,
 ) -> None:  # fmt: skip
     """See :func:`local_outliers`; everything fits into 16 bits, without sign where differences are concerned."""
     for j in range(out.shape[0]):
@@ -53,19 +59,26 @@ def _agreeing(
         near = (from1 < most) | (from2 < most)
         small = np.uint16(first[j] + largest) <= np.uint16(2 * largest)
         small |= np.uint16(second[j] + largest) <= np.uint16(2 * largest)
+        far = np.uint16(mean * n[j])
+        small &= (np.uint16(sum1[j] + far) <= np.uint16(2 * far)) | (np.uint16(sum2[j] + far) <= np.uint16(2 * far))
         here = valid[j]
         out[j] = here if near & small & (np.uint16(4 * n[j]) >= np.uint16(window[j])) else _NO
 
 
 @parallel
-def local_outliers(band: int, valid: Any, first: Any, second: Any, limit: int, largest: int, out: Any) -> None:
+def local_outliers(
+    band: int, valid: Any, first: Any, second: Any, limit: int, largest: int, mean: int, out: Any
+) -> None:
     """Known pixels with a small residual and one that stays near the mean of its 7 x 7 neighbourhood.
+
+    Where that mean itself is far from zero, a whole strip is matched to another surface whose phase happens to agree.
 
     Args:
         valid: (H, W) uint8, 0 or 1.
         first, second: (H, W) int16 residuals, up to 668 steps where valid.
         limit: steps that a residual stays below from the mean of the valid neighbours, which must be a quarter of all.
         largest: steps, largest residual; both up to 668.
+        mean: steps, largest mean of the smaller of both residuals, up to :data:`MOST_MEAN`.
         out: (H, W) uint8, becomes 1 where all is well, else 0.
     """
     height, width = valid.shape
@@ -97,7 +110,26 @@ def local_outliers(band: int, valid: Any, first: Any, second: Any, limit: int, l
         within = min(height, middle + RADIUS + 1) - max(0, middle - RADIUS)
         for j in range(width):
             window[j] = within * columns[j]
-        _agreeing(valid[middle], first[middle], second[middle], n, sum1, sum2, window, limit, largest, out[middle])
+        _agreeing(
+            valid[middle], first[middle], second[middle], n, sum1, sum2, window, limit, largest, mean, out[middle]
+        )
+
+
+def usual_mean(match: MatchResult) -> int:
+    """Median over the image of the mean of the smaller of both residuals in a neighbourhood, steps; 0 without any."""
+    step = max(1, round((match.valid.size / _SAMPLES) ** 0.5))
+    size = 2 * RADIUS + 1
+    if min(match.valid.shape) < size:
+        return 0
+    valid, *residuals = (
+        sliding_window_view(plane, (size, size))[::step, ::step]
+        for plane in (match.valid, match.residual_normalised, match.residual)
+    )
+    some = valid.all(axis=(2, 3))
+    if not some.any():
+        return 0
+    means = [np.abs(residual[some].mean(axis=(1, 2))) for residual in residuals]
+    return int(np.median(np.minimum(*means)))
 
 
 @serial

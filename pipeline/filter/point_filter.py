@@ -16,7 +16,7 @@ from pipeline.filter.border_test import ROWS as BORDER_ROWS
 from pipeline.filter.border_test import Planes, border_test, largest_odds
 from pipeline.filter.component_test import component_test, reject_eroded
 from pipeline.filter.connected_components import Surfaces
-from pipeline.filter.local_outliers import ROWS, drop_mixed_edges, local_outliers
+from pipeline.filter.local_outliers import MOST_MEAN, ROWS, drop_mixed_edges, local_outliers, usual_mean
 from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.surface_edges import edge_test
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
@@ -24,6 +24,11 @@ from pipeline.filter.uniqueness import Uniqueness
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, MatchResult, Points
 
+LARGEST_MEAN_RAD, TIMES_USUAL = 0.18, 5
+"""Mean residual of a neighbourhood from which its points are rejected: textures cause less, strips that only one camera
+sees and that are matched to the surface before them have 0.2 to 0.4 and err by millimetres. The second: how many times
+the median of the image it is at least, since the means of a projector with an inexact calibration are large everywhere.
+"""
 LARGE_SHARE = 0.01
 """Share of the image from which a surface's texture is not tested as a whole."""
 HIGH = 3 * DEVIATION_STEPS
@@ -86,7 +91,8 @@ class Gates:
         s, valid, label, surfaces = self._settings, self._valid, self._label, self._surfaces
         bands = blocks(len(valid), ROWS)
         limit, largest = _steps(s.outlier_phase_threshold), _steps(s.reflection_threshold)
-        local_outliers(bands, match.valid, match.residual_normalised, match.residual, limit, largest, valid)
+        far = max(_steps(LARGEST_MEAN_RAD), min(TIMES_USUAL * usual_mean(match), MOST_MEAN))
+        local_outliers(bands, match.valid, match.residual_normalised, match.residual, limit, largest, far, valid)
         connected_components.links(
             len(valid),
             match.absolute_phase,

@@ -43,6 +43,7 @@ THREE_CHIPS, MOSAIC = Shares(0.0007, 0.08), Shares(0.004, 0.3)
 """A mosaic's window is larger, and its samples are of different colours."""
 _THREE_CHIPS, _MOSAIC = _Scatter(0.05**2, 16.0), _Scatter(0.1**2, 12.0)
 _SCATTER_SHARE = 0.012
+_PERIOD_PX = 10.7  # of the fringes whose scatter was measured
 _SAMPLES = 7000
 _LEAST_SAMPLES = 200
 BLUR = 0.35
@@ -66,10 +67,12 @@ def shares_of(
     """
     kind, usual = (MOSAIC, _MOSAIC) if mosaic else (THREE_CHIPS, _THREE_CHIPS)
     scatter, noise = _scatter(match, variance, slopes)
+    # The local means of the normalised phase span a period, over which a texture's change is proportional to it.
+    longer = max(2 * np.pi / max(abs(slopes[0]), abs(slopes[1])) / _PERIOD_PX, 1.0)
     return Shares(
         kind.bias * (1 + (SATURATED - 1) * min(saturated / FEW_SATURATED, 1.0)),
         kind.misfit,
-        _SCATTER_SHARE * max(scatter - usual.texture - usual.noise * noise, 0.0),
+        _SCATTER_SHARE * max(scatter - longer**2 * usual.texture - usual.noise * noise, 0.0),
     )
 
 

@@ -25,6 +25,8 @@ NO_CORRECTION: Correction = np.zeros(3)
 CLEARLY_MORE, PER_COLUMN = 0.025, 0.01
 """How much more an offset costs on average that is clearly worse than another, and how much more each column counts:
 small offsets are more probable."""
+PER_OUTSIDE = 0.05
+"""Weight of what the orders beyond the volume save: nothing at the right offset of a scene inside it."""
 _SAME, _FARTHER, _MOST_OTHERS = 0.1, 0.2, 2
 """Distance up to which offsets are alike, columns; how much farther from 0 another one may be, as projectors drift
 little; how many others are compared."""
@@ -38,17 +40,17 @@ def offsets_to_try(largest: float, step: float = 0.25) -> F64:
 
 
 def best_offset(offsets: F64, with_margin: F64, inside: F64) -> float:
-    """The offset with the least sum of both costs among those that the search beyond the volume allows.
+    """The offset with the least cost, orders beyond the volume included, unless another explains more of it inside.
 
     A wall behind the volume agrees with wrong orders inside it at some wrong offset, so the search with the margin
     decides; with its many orders a bare plane fits at several offsets nearly alike, of which that inside takes one.
+    Small offsets are more probable.
 
     Args:
         offsets: (n,) columns; with_margin, inside: (n,) mean least costs with the margin and without.
     """
-    probable = with_margin + PER_COLUMN * np.abs(offsets)
-    allowed = probable <= probable.min() + CLEARLY_MORE
-    return float(offsets[np.where(allowed, (with_margin + inside).round(6), np.inf).argmin()])
+    outside = np.maximum(inside - with_margin, 0.0)
+    return float(offsets[(with_margin + PER_COLUMN * np.abs(offsets) + PER_OUTSIDE * outside).round(6).argmin()])
 
 
 def other_shifts(

@@ -37,16 +37,17 @@ def test_local_outliers_are_those_of_the_definition(shape: tuple[int, int]) -> N
     residuals = rng.normal(0, 120, (2, *shape)).clip(-LARGEST_RESIDUAL, LARGEST_RESIDUAL).astype(np.int16)
     residuals[:, rng.random(shape) < 0.05] = LARGEST_RESIDUAL
     residuals[:, valid == 0] = rng.integers(-32768, 32767, (2, int((valid == 0).sum())))
-    limit, largest = 80, 200
+    limit, largest, mean = 80, 200, 12
     expected = np.zeros(shape, np.uint8)
     for i, j in zip(*np.nonzero(valid), strict=True):
         window = np.s_[max(0, i - RADIUS) : i + RADIUS + 1, max(0, j - RADIUS) : j + RADIUS + 1]
         some = valid[window] > 0
         means = [r[window][some].mean() for r in residuals]
         near = any(abs(r[i, j] - m) < limit for r, m in zip(residuals, means, strict=True))
-        expected[i, j] = near and (abs(residuals[:, i, j]) <= largest).any() and some.mean() >= 0.25
+        small = (abs(residuals[:, i, j]) <= largest).any() and min(abs(m) for m in means) <= mean
+        expected[i, j] = near and small and some.mean() >= 0.25
     out = np.full(shape, 9, np.uint8)
-    local_outliers(blocks(len(valid), ROWS), valid, *residuals, limit, largest, out)
+    local_outliers(blocks(len(valid), ROWS), valid, *residuals, limit, largest, mean, out)
     np.testing.assert_array_equal(out, expected)
 
 
