@@ -34,8 +34,8 @@ _FIRST_RANDOM = 200
 _MOST_WRONG = 0.1
 """Share of wrong points from which a scene is left out: there whole surfaces have wrong orders."""
 _TAIL = np.log(2.0)
-"""Added to the logarithm of the variance. Errors have heavier tails than noise: with the mean of all borders as variance,
-error / sigma of the pixels right beside an edge is 1.5 to 2.8 in nine of 18 cases, so in five."""
+"""Added to the logarithm of the variance. Errors have heavier tails than noise: with the mean of all borders as the
+variance, error / sigma of the pixels right beside an edge is 1.5 to 2.8 in nine of 18 cases, with this in five."""
 _BEGIN = "MODEL = BorderModel("
 
 

@@ -61,6 +61,11 @@ class Case:
 STANDARD = (0.97, 0.0015, 0.090)
 REALISTIC = (0.965, 0.002, 0.085)
 MIDDLE = RigLayout(projector_fraction=0.5)
+WIDE = RigLayout(
+    camera_size=(1024, 768), focal_px=2297.0, baseline_mm=302.0, projector_fraction=0.59, projector_up_mm=20.0,
+    standoff_mm=1250.0, projector_focal_px=2240.0, periods=32.0, depth_mm=500.0,
+)  # fmt: skip
+"""Short lenses and fringes of 41 pixels, as in the public data set of a bust."""
 
 CASES = (
     Case("all at once", "mixed", promise=STANDARD),
@@ -101,6 +106,11 @@ HARD = (
     Case("Bayer, unknown gamma and crosstalk", "mixed", UNKNOWN, encoding="bayer_rggb8"),
     Case("Bayer, slots", "slots", encoding="bayer_rggb8"),
     Case("the demo's scene", "moving"),
+    Case("plaster cast", "cast"),
+    Case("plaster cast, Bayer", "cast", encoding="bayer_rggb8"),
+    Case("plaster cast, wide fringes", "cast", layout=WIDE, periods=32.0),
+    Case("standard, wide fringes", "mixed", layout=WIDE, periods=32.0),
+    Case("out of focus", "mixed", Optics(psf_px=1.3)),
 )
 """Scenes and rigs in which wrong points and false surfaces arise; :mod:`benchmarks.trust` measures them."""
 

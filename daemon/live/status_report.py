@@ -70,6 +70,7 @@ def make_status(
         warnings=(
             *timing_warnings(projector.refresh_hz if projector else 0.0, cameras),
             *processor_share.warnings(),
+            *worker.warnings,
             *filter(None, [path.order_warning if path.mode_controller.mode == SINGLE else ""]),
         ),
         device=path.config.device.name,

@@ -150,12 +150,13 @@ def look_up(t: Any, k: Any, other: Any, along: int, across: int, width: int, hei
 
 
 @inline
-def errors(t: Any, axis: int, lanes: int) -> None:
+def errors(t: Any, axis: int, blur: Any, lanes: int) -> None:
     """Phase of the other image minus this one's (slot ERROR), its change with W (SLOPE), the size squared (SIZE).
 
     Channels of unequal reflectance add a phasor that does not rotate with the phase; slot BIAS holds the negative of
     the phase error that follows. The linear interpolation of a phasor that rotates by ``step`` between two pixels
-    shortens it by 1 - f (1 - f) step^2 / 2, which enlarges that error in the other image; the difference is taken out.
+    shortens it by 1 - f (1 - f) step^2 / 2, which enlarges that error in the other image, as does the other camera's
+    blur, by the share ``blur``; the difference is taken out.
     """
     for j in range(lanes):
         ar, ai, br, bi = t[_AR + j], t[_AI + j], t[_BR + j], t[_BI + j]
@@ -165,7 +166,7 @@ def errors(t: Any, axis: int, lanes: int) -> None:
         step = angle(ar * br + ai * bi, ar * bi - ai * br)
         slope = step * (t[EX + j] if axis == 0 else t[EY + j])
         shortened = min(_HALF * f * (_ONE - f) * step * step, _MOST_SHORTENED)
-        t[ERROR + j] = angle(re * hr + im * hi, im * hr - re * hi) + shortened * t[BIAS + j]
+        t[ERROR + j] = angle(re * hr + im * hi, im * hr - re * hi) + (shortened + blur) * t[BIAS + j]
         t[SLOPE + j] = slope if slope != _ZERO else _TINY
         t[SIZE + j] = re * re + im * im
 

@@ -44,6 +44,7 @@ class MatchModel(NamedTuple):
         correction: of the projector's columns.
         floor_sq: least squared size of a packed phasor.
         correlation: of neighbouring phases' noise in the other image (0 pointwise, more after a window fit).
+        blur: by which the other camera's fringes have less contrast, as a share of theirs.
     """
 
     device: F32
@@ -61,6 +62,7 @@ class MatchModel(NamedTuple):
     correction: F32
     floor_sq: np.float32
     correlation: np.float32
+    blur: np.float32
 
 
 @serial
@@ -100,10 +102,10 @@ def match_tile(arrays: Any, n: int, model: Any, other: Any, variance: Any) -> No
         t[EX + j], t[EY + j] = (x1 - x) / delta, (y1 - y) / delta
         t[T0 + j] = w
     look_up(t, k, other, along, across, other_width, other_height, TILE)
-    errors(t, axis, TILE)
+    errors(t, axis, model.blur, TILE)
     move(t, TILE)
     look_up(t, k, other, along, across, other_width, other_height, TILE)
-    errors(t, axis, TILE)
+    errors(t, axis, model.blur, TILE)
     evidence(t, k, variance, along, across, TILE)
     left = 0
     for j in range(n):
@@ -115,7 +117,7 @@ def match_tile(arrays: Any, n: int, model: Any, other: Any, variance: Any) -> No
         _gather(t, some, few)
         move(few, FEW)
         look_up(few, few_k, other, along, across, other_width, other_height, FEW)
-        errors(few, axis, FEW)
+        errors(few, axis, model.blur, FEW)
         evidence(few, few_k, variance, along, across, FEW)
         _put_back(few, some, t)
     for j in range(TILE):

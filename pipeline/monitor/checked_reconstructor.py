@@ -41,6 +41,11 @@ class CheckedReconstructor:
         return self.inner.mode
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should correct at the cameras."""
+        return self.inner.warnings
+
+    @property
     def encoding(self) -> str:
         """Encoding of the raw images."""
         return self.inner.encoding

@@ -48,15 +48,19 @@ class ColorSets:
         """Of the projector's columns."""
         return self._reconstructors[0].correction
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should correct at the cameras."""
+        return self._reconstructors[0].warnings
+
     def state(self) -> list[CorrectionState]:
         """Column correction of each reconstructor and whether it was measured, for :meth:`restore`."""
-        return [(one.correction, one.calibrated) for one in self._reconstructors]
+        return [one.state() for one in self._reconstructors]
 
     def restore(self, kept: list[CorrectionState]) -> None:
         """Restore the state."""
-        for one, (correction, calibrated) in zip(self._reconstructors, kept, strict=True):
-            one.correction, one.calibrated = correction, calibrated
-            one.clear_prior()
+        for one, state in zip(self._reconstructors, kept, strict=True):
+            one.restore(state)
 
     def color(self, lefts: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
         """The fringe-free colour, of the first image."""

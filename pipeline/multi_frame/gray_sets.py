@@ -66,6 +66,11 @@ class GraySets:
         self._correlation = CORRELATION if windowed(settings, encoding) else 0.0
         self._stages: dict[int, CloudStage] = {}
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Nothing: several images of one channel each do not depend on white balance."""
+        return ()
+
     def state(self) -> list[CorrectionState]:
         """Column correction and whether it was measured, for :meth:`restore`."""
         return [(self.correction, self.calibrated)]

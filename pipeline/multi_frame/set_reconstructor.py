@@ -74,6 +74,11 @@ class SetReconstructor:
         """Of the projector's columns: offset, slope along, slope across; observed minus calibrated coordinate."""
         return self._sets.correction
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should correct at the cameras."""
+        return self._sets.warnings
+
     def state(self) -> list[CorrectionState]:
         """What sets change: column corrections and whether they were measured, for :meth:`restore`."""
         return self._sets.state()

@@ -56,6 +56,7 @@ class CloudStage:
         self._match = MatchResult.empty(shape)
         self._floor_sq = np.float32((settings.min_modulation * PHASOR_SCALE) ** 2)
         self._correlation = np.float32(correlation)
+        self.contrast = 1.0  # of the right camera's fringes, relative to the left one's
         self._slopes = stride * left.slopes[0], stride * left.slopes[1]
         self._gates = Gates(
             shape, calibration.right.size, calibration.projector.size,
@@ -85,7 +86,7 @@ class CloudStage:
         return MatchModel(
             v.other, *self._right_size, v.projector, v.first_axis, np.float32(v.depth.base), np.float32(v.depth.span),
             *self._limits, v.phase_to_column, v.column_to_phase, v.linear, correction.astype(np.float32),
-            self._floor_sq, self._correlation,
+            self._floor_sq, self._correlation, np.float32(1 / self.contrast - 1),
         )  # fmt: skip
 
     def match_neighbours(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -25,9 +26,11 @@ from pipeline.fringe_order.order_propagation import propagate
 from pipeline.fringe_order.order_search import OrderSearch
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.geometry.view_tables import View
+from pipeline.match.match_result import MatchResult
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct import column_correction
+from pipeline.reconstruct import camera_response, column_correction
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.column_correction import CorrectionState
 from pipeline.reconstruct.consistency import ColumnScan
 from pipeline.reconstruct.orders_to_cloud import CloudStage, baselines
 from pipeline.reconstruct.search_views import search_views, volume_of_right
@@ -36,6 +39,7 @@ from pipeline.rig.volume import Volume
 
 _LEAST_MARGIN = 0.3
 """Share of ``uniqueness_ratio`` that is asked of layouts where every surface's orders have small margins."""
+_RESPONSE_ROUNDS = 3
 _DISTINCT = 0.5
 """Weight of the projector's phase from which a surface with many ambiguous parts is rejected entirely: in such layouts
 only wrong orders have them."""
@@ -80,21 +84,19 @@ class Reconstructor:
         self.calibration, self.pattern, self.volume, self.encoding = calibration, pattern, volume, encoding
         self.settings = settings or Settings()
         self.correction = column_correction.NO_CORRECTION.copy()
+        self.response = camera_response.EQUAL.copy()
         self.calibrated = not self.settings.self_calibrate
         self.other_shifts = np.empty(0)  # of the correction, which explain its pair about as well
         self.scan: ColumnScan | None = None
         self._clock, self._threads = clock, threads
         mosaic = mosaic_of(encoding)
-        swapped = calibration.swapped()
         self.left, self.right = search_views(calibration, pattern, volume, self.settings)
-        middles = volume, volume_of_right(calibration, volume)
-        self.decoders = [
-            Decoder.of_left(
-                rig, pattern, mosaic=mosaic, slopes=view.slopes, settings=self.settings,
-                depth_mm=DepthScale.of(middle).depth(0.5),
-            )
-            for rig, view, middle in zip((calibration, swapped), (self.left, self.right), middles, strict=True)
-        ]  # fmt: skip
+        self._make_decoder = partial(Decoder.of_left, pattern=pattern, mosaic=mosaic, settings=self.settings)
+        middle, self._right_middle = (
+            DepthScale.of(each).depth(0.5) for each in (volume, volume_of_right(calibration, volume))
+        )
+        left_decoder = self._make_decoder(calibration, slopes=self.left.slopes, depth_mm=middle)
+        self.decoders = [left_decoder, self._right_decoder()]
         weights = weights_of(*self.settings.window(mosaic=mosaic is not None))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
         self.searches = OrderSearch(self.left), OrderSearch(self.right)
@@ -103,6 +105,36 @@ class Reconstructor:
         self._kept = np.empty(self.left.table.shape, np.int16)
         self._order = np.empty(calibration.left.size[::-1], np.int16)
         self._stages: dict[int, CloudStage] = {}
+
+    def _right_decoder(self) -> Decoder:
+        """The right camera's decoder, for its measured response."""
+        color = camera_response.with_gains(self.calibration.right_color, self.response[:3])
+        rig = replace(self.calibration, right_color=color).swapped()
+        return self._make_decoder(rig, slopes=self.right.slopes, depth_mm=self._right_middle)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the first pair showed of the cameras that a user should correct, a sentence each."""
+        return camera_response.warnings_of(self.response)
+
+    def state(self) -> CorrectionState:
+        """What the first pair sets: column correction and response, 7 numbers, and whether they were measured."""
+        return np.concatenate([self.correction, self.response]), self.calibrated
+
+    def restore(self, kept: CorrectionState) -> None:
+        """Return to a state that :meth:`state` returned, without a prior."""
+        values, self.calibrated = kept
+        self.correction = values[:3].copy()
+        self._set_response(values[3:].copy())
+        self.clear_prior()
+
+    def _set_response(self, response: NDArray[np.float64]) -> None:
+        changed = not np.array_equal(response[:3], self.response[:3])
+        self.response = response
+        if changed:
+            self.decoders[1] = self._right_decoder()
+        for stage in self._stages.values():
+            stage.contrast = float(response[3])
 
     def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:
         """Compile (or load) every kernel by runs on empty images; leaves no trace in the results.
@@ -113,7 +145,7 @@ class Reconstructor:
         width, height = self.calibration.left.size
         right_width, right_height = self.calibration.right.size
         deep = (3,) if self.encoding == "rgb8" else ()
-        kept = self.correction, self.calibrated, self.other_shifts
+        kept, other_shifts = self.state(), self.other_shifts
         rng = np.random.default_rng(0)
         left = rng.integers(40, 200, (height, width, *deep), dtype=np.uint8)
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
@@ -124,8 +156,8 @@ class Reconstructor:
         warm_up_conflicts()
         self.color(left)
         normals_of(cloud.xyz, cloud.sigma_mm)
-        self.clear_prior()
-        self.correction, self.calibrated, self.other_shifts = kept
+        self.restore(kept)
+        self.other_shifts = other_shifts
 
     def reconstruct(
         self, left: NDArray[Any], right: NDArray[Any], *, stride: int = 1, use_prior: bool = False
@@ -166,7 +198,7 @@ class Reconstructor:
         self._maps = maps
         watch.lap("decode")
         if not self.calibrated:
-            self.calibrate_columns(*maps)
+            maps = self._calibrate(left, right, maps)
             watch.lap("self_calibration")
         return *maps, self._orders(*maps, watch, use_prior=use_prior)
 
@@ -175,8 +207,8 @@ class Reconstructor:
         for side in self.searches:
             side.clear_prior()
 
-    def calibrate_columns(self, left: PhaseMap, right: PhaseMap) -> None:
-        """Find the projector's column correction from a pair and keep it."""
+    def calibrate_columns(self, left: PhaseMap, right: PhaseMap) -> MatchResult:
+        """Find the projector's column correction from a pair and keep it; returns the match, valid until the next."""
         self.scan = self.scan_columns(left, right)
         inside = View.of(self.calibration, self.pattern, self.volume, self.settings)
         offsets = column_correction.offsets_to_try(self.settings.self_calibration_range)
@@ -202,6 +234,38 @@ class Reconstructor:
         cost = mean_cost(self.searches[0], self.correction)
         self.clear_prior()
         self.other_shifts = column_correction.other_shifts(offsets, with_margin, self.correction, cost, middle)
+        return match
+
+    def _calibrate(
+        self, left: NDArray[Any], right: NDArray[Any], maps: tuple[PhaseMap, PhaseMap]
+    ) -> tuple[PhaseMap, PhaseMap]:
+        """Measure column correction and response from a pair of raw images; returns its phases after that."""
+        match = self.calibrate_columns(*maps)
+        color, other = self.decoders[0].color(left), self.decoders[1].color(right)
+        gains = camera_response.gains_of_images(color, other, maps[0].valid, maps[1].valid)
+        if (gains != 1).any():
+            maps = self._with_gains(gains, right, maps[0])
+            match = self.calibrate_columns(*maps)
+        for _ in range(_RESPONSE_ROUNDS):
+            equal = (self.response == 1).all()
+            least = camera_response.UNEQUAL if equal else camera_response.CORRECTED
+            gains = camera_response.gains_of_points(color, self.decoders[1].color(right), match, least)
+            if (gains == 1).all():
+                break
+            maps = self._with_gains(gains, right, maps[0])
+            match = self.stage(1).match(*maps, self._orders(*maps, Stopwatch(None), use_prior=False), self.correction)
+        contrast = camera_response.contrast_of_points(*maps, match, self.left.first_axis)
+        self._set_response(np.append(self.response[:3], contrast))
+        self.clear_prior()
+        self._maps = maps
+        return maps
+
+    def _with_gains(
+        self, gains: NDArray[np.float64], right: NDArray[Any], left_map: PhaseMap
+    ) -> tuple[PhaseMap, PhaseMap]:
+        """Phases of a pair after the right camera's gains were multiplied."""
+        self._set_response(np.append(self.response[:3] * gains, self.response[3]))
+        return left_map, self.decoders[1].decode(right)
 
     def scan_columns(self, left: PhaseMap | None = None, right: PhaseMap | None = None) -> ColumnScan | None:
         """Cost of the order search over column offsets of half a period to both sides; None without fringes.
@@ -244,4 +308,5 @@ class Reconstructor:
                 stride=stride,
                 mosaic=self.encoding.startswith("bayer"),
             )
+            self._stages[stride].contrast = float(self.response[3])
         return self._stages[stride]

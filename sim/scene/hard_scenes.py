@@ -5,6 +5,8 @@ Stage coordinates as in :mod:`sim.scene.named_scenes`; the standard field is abo
 
 from __future__ import annotations
 
+import numpy as np
+
 from sim.scene.scene import SKIN, Scene, board
 from sim.scene.shapes import COLORED, Shape, Texture, box, cylinder, rectangle, relief, sphere
 
@@ -147,3 +149,23 @@ def beyond_volume() -> Scene:
             sphere(30).placed((120, 90, 150), albedo=0.7, texture=COLORED),
         ),
     )
+
+
+def cast() -> Scene:
+    """A plaster cast of teeth before a dark wall behind the volume: two arches of small blocks with narrow gaps."""
+    rng = np.random.default_rng(5)
+    plaster = Texture(smooth=0.04, smooth_mm=20.0, speckle=0.02, speckle_mm=1.5)
+    shapes: list[Shape] = [
+        rectangle(1000, 800).placed((0, 0, 180), turn=(0.1, 0.2, 0.0), albedo=0.35),
+        cylinder(95, 40).placed((0, 20, 40), turn=(1.35, 0.0, 0.0), albedo=0.8, texture=plaster),
+    ]
+    for radius_y, depth in ((70, 5.0), (60, -25.0)):
+        for k, angle in enumerate(np.pi * np.linspace(0.04, 0.96, 14)):
+            x, y = float(75 * np.cos(angle)), float(30 - radius_y * np.sin(angle))
+            width, height = rng.uniform(5.5, 9), rng.uniform(12, 22)
+            turn = (rng.normal(0, 0.2), rng.normal(0, 0.2), float(angle + np.pi / 2))
+            tooth = box(1.5 * width, width, height)
+            shapes.append(tooth.placed((x, y, depth), turn=turn, albedo=0.8, texture=plaster))
+            if k % 3 == 0:
+                shapes.append(sphere(width).placed((x, y, depth - 6), albedo=0.8, texture=plaster))
+    return Scene("cast", tuple(shapes))

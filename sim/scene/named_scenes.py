@@ -144,5 +144,6 @@ _SCENES: dict[str, Callable[[], Scene]] = {
     "bright": hard_scenes.bright,
     "gloss": hard_scenes.gloss,
     "beyond": hard_scenes.beyond_volume,
+    "cast": hard_scenes.cast,
 }
 NAMES = (*_SCENES, "mesh")

@@ -67,6 +67,7 @@ class FlatReconstructor:
     """Gives a cloud without any point, and compiles nothing."""
 
     mode = "single"
+    warnings = ()
 
     def warm_up(self, *, strides: tuple[int, ...], use_prior: bool) -> None:
         pass

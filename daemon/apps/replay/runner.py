@@ -90,6 +90,11 @@ class Replay:
         return 0 if self._sets is None else self._sets.incomplete
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should correct at the cameras, as far as the last iteration has shown it."""
+        return () if self._cached is None else tuple(self._cached.warnings)
+
+    @property
     def calibration_file(self) -> CalibrationFile:
         """The calibration in use."""
         if self._file is None:

@@ -47,7 +47,7 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
         "unpaired": dict(counts.unpaired),
         "duplicates": dict(counts.duplicates),
         "failed": [dataclasses.asdict(failure) for failure in replay.failures],
-        "problems": problems_of(replay.take, replay.calibration_file),
+        "problems": [*problems_of(replay.take, replay.calibration_file), *replay.warnings],
         "per_pair": [dataclasses.asdict(run) for run in runs],
     }
 

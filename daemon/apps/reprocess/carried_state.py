@@ -23,7 +23,7 @@ class CarriedState:
 
     Args:
         encoding: of the images seen last; another one begins with a new reconstructor.
-        corrections: offset and two slopes of each inner reconstructor, and whether they were measured.
+        corrections: what the first item sets in each inner reconstructor, and whether it was measured.
         scan: fields of the first pair's column scan, None without one.
         shifts: of the correction, which explain the first pair about as well.
     """
@@ -63,8 +63,8 @@ def capture(reconstructor: IndependentVerdicts | SetReconstructor) -> CarriedSta
     if isinstance(reconstructor, IndependentVerdicts):
         inner = reconstructor.inner
         scan = None if inner.scan is None else tuple(map(float, dataclasses.astuple(inner.scan)))
-        correction = _numbers(inner.correction), inner.calibrated
-        return CarriedState(inner.encoding, (correction,), scan, _numbers(inner.other_shifts))
+        values, measured = inner.state()
+        return CarriedState(inner.encoding, ((_numbers(values), measured),), scan, _numbers(inner.other_shifts))
     kept = reconstructor.state()
     return CarriedState(reconstructor.encoding, tuple((_numbers(values), measured) for values, measured in kept))
 
@@ -74,10 +74,9 @@ def restore(reconstructor: IndependentVerdicts | SetReconstructor, state: Carrie
     pairs = [(np.array(values), measured) for values, measured in state.corrections]
     if isinstance(reconstructor, IndependentVerdicts):
         inner = reconstructor.inner
-        [(inner.correction, inner.calibrated)] = pairs
+        inner.restore(pairs[0])
         inner.scan = None if state.scan is None else ColumnScan(*state.scan)
         inner.other_shifts = np.array(state.shifts)
-        inner.clear_prior()
         return
     reconstructor.restore(pairs)
 

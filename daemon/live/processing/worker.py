@@ -40,6 +40,10 @@ class CloudReconstructor(Protocol):
     def mode(self) -> str:
         """The mode whose images it reconstructs."""
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should correct at the cameras, a sentence each."""
+
     def warm_up(self, *, strides: tuple[int, ...], use_prior: bool) -> None:
         """Compile every kernel for these strides, and for the use of a prior."""
 
@@ -167,6 +171,12 @@ class Worker:
 
     def _running(self) -> bool:
         return self._reconstructor is not None and self._thread.is_alive()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should correct at the cameras, as far as pairs have shown it."""
+        reconstructor = self._reconstructor
+        return () if reconstructor is None else reconstructor.warnings
 
     def _drop(self, captured: Pair | ImageSet, reason: str) -> None:
         self.dropped += 1

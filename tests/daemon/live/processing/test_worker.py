@@ -35,6 +35,7 @@ class Stub:
     """Notes how it is called; an image of 1 is rejected; ``gate`` delays it."""
 
     mode = "single"
+    warnings = ()
     calls: list[tuple[int, bool]] = field(default_factory=list)
     colors: int = 0
     gate: threading.Semaphore | None = None

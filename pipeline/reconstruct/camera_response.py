@@ -1,0 +1,115 @@
+"""Differences of both cameras' responses that the calibration does not know: white balance and sharpness.
+
+The phase error of a coloured surface cancels between the cameras where both see the same colours with the same fringe
+contrast. A white balance of one camera displaces every point instead, and a blur of one camera those of coloured
+surfaces. Both are measured once, at matched points of the first pair, where both cameras see the same surfaces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.decode.decoder import PhaseMap
+from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP, MatchResult
+from pipeline.rig.calibration import ColorModel
+
+F64 = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+EQUAL: F64 = np.ones(4)
+"""Both cameras respond alike: gains of R, G, B of the right camera, relative to their mean, and its contrast."""
+CERTAINLY_UNEQUAL = 0.1
+"""Relative difference from which whole images show a white balance: they do not see quite the same surfaces."""
+UNEQUAL, CORRECTED = 0.015, 0.003
+"""Relative difference that matched points show certainly, and that is left when it is corrected."""
+LAG = 2
+"""Pixels to either side between which the fringes' periods in both images are compared."""
+_ALIKE = 0.15
+_NOTICEABLE, _UNSHARP = 0.05, 0.12
+_DARK, _BRIGHT = 8, 225
+_LEAST_POINTS = 1000
+_LARGEST = 2.5
+
+
+def gains_of_images(left: Image, right: Image, left_valid: Mask, right_valid: Mask) -> F64:
+    """Gains (3,) from the mean colours (H, W, 3) of all lit pixels, ones where they do not differ certainly."""
+    if min(np.count_nonzero(left_valid), np.count_nonzero(right_valid)) < _LEAST_POINTS:
+        return np.ones(3)
+    ours, others = left[::2, ::2][left_valid[::2, ::2]], right[::2, ::2][right_valid[::2, ::2]]
+    return _relative(others.mean(axis=0), ours.mean(axis=0), CERTAINLY_UNEQUAL)
+
+
+def gains_of_points(left: Image, right: Image, match: MatchResult, least: float) -> F64:
+    """Gains (3,) from colours (H, W, 3) at matched points, ones where they differ by less than ``least``."""
+    rows, columns, v, u = _points(match, match.valid != 0)
+    ours, others = left[rows, columns], right[v, u]
+    some = (np.minimum(ours, others).min(axis=1) > _DARK) & (np.maximum(ours, others).max(axis=1) < _BRIGHT)
+    if np.count_nonzero(some) < _LEAST_POINTS:
+        return np.ones(3)
+    return _relative(others[some].mean(axis=0), ours[some].mean(axis=0), least)
+
+
+def contrast_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult, axis: int) -> float:
+    """Median modulation over mean in the right image, relative to the left one; 1 with too few points.
+
+    Only surfaces whose fringes have the same period in both images count: narrower fringes have less contrast, too.
+
+    Args:
+        axis: 0 = the fringes' phase grows along u.
+    """
+    seen = (match.right_u, match.right_v)[axis].astype(np.int32)
+    ahead, behind = (np.s_[:, 2 * LAG :], np.s_[:, : -2 * LAG]) if axis == 0 else (np.s_[2 * LAG :], np.s_[: -2 * LAG])
+    middle = np.s_[:, LAG:-LAG] if axis == 0 else np.s_[LAG:-LAG]
+    alike = np.zeros(seen.shape, np.bool_)
+    step = np.abs(seen[ahead] - seen[behind])
+    alike[middle] = np.abs(step - 2 * LAG * PIXEL_STEPS) < _ALIKE * 2 * LAG * PIXEL_STEPS
+    alike[middle] &= (match.valid[ahead] & match.valid[behind] & match.valid[middle]) != 0
+    rows, columns, v, u = _points(match, alike)
+    if len(rows) < _LEAST_POINTS:
+        return 1.0
+    ours = left.modulation[rows, columns] / np.maximum(left.mean[rows, columns], 1.0)
+    others = right.modulation[v, u] / np.maximum(right.mean[v, u], 1.0)
+    return float(np.clip(np.median(others / np.maximum(ours, 1e-3)), 1 / _LARGEST, _LARGEST))
+
+
+def with_gains(color: ColorModel, gains: F64) -> ColorModel:
+    """The colour model of a camera whose channels have further gains (3,)."""
+    crosstalk = color.crosstalk * gains[:, None] / gains[None, :]
+    return replace(color, crosstalk=crosstalk, balance=np.clip(color.balance * gains, 0.05, 3))
+
+
+def warnings_of(response: F64) -> tuple[str, ...]:
+    """What a user should correct at the cameras, a sentence each."""
+    gains, contrast = response[:3], float(response[3])
+    warnings = []
+    if np.abs(gains - 1).max() > _NOTICEABLE:
+        ratios = ", ".join(f"{name} {gain:.2f}" for name, gain in zip(("red", "green", "blue"), gains, strict=True))
+        warnings.append(
+            f"the right camera's white balance is not the left one's ({ratios} relative to it) and is corrected from "
+            "the images; switch automatic white balance off and calibrate the colours (fringed calibrate color)"
+        )
+    if abs(np.log(contrast)) > _UNSHARP:
+        side = "right" if contrast < 1 else "left"
+        warnings.append(
+            f"the {side} camera sees the fringes with {100 * (1 - min(contrast, 1 / contrast)):.0f} % less contrast "
+            "than the other one; focus its lens"
+        )
+    return tuple(warnings)
+
+
+def _relative(right: F64, left: F64, least: float) -> F64:
+    gains = right / np.maximum(left, 1e-3)
+    gains = np.clip(gains / gains.mean(), 1 / _LARGEST, _LARGEST)
+    return np.asarray(gains if np.abs(gains - 1).max() >= least else np.ones(3), dtype=np.float64)
+
+
+def _points(match: MatchResult, which: Mask) -> tuple[NDArray[np.int64], ...]:
+    """Rows and columns of some of these pixels (H, W), and of the right pixels that they are matched with."""
+    some = which[::3, ::2] & (np.abs(match.residual_normalised[::3, ::2]) < 0.5 / RESIDUAL_STEP)
+    rows, columns = np.nonzero(some)
+    u, v = (plane[::3, ::2][some] // PIXEL_STEPS for plane in (match.right_u, match.right_v))
+    return 3 * rows, 2 * columns, v.astype(np.int64), u.astype(np.int64)
