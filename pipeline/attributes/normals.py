@@ -2,8 +2,9 @@
 
 Around a pixel the position is fitted by ``p(u, v) = p0 + pu u + pv v`` over a window of 7 x 7 pixels (u to the right, v
 down), weighted by 1 / sigma^2. The normal is ``pv x pu``, which points towards the camera because it sees the surface's
-front, whatever rigid frame the points are in. With the weighted covariances ``bu, bv`` of position and pixel the
-solution of the normal equations gives ``pu x pv = (bu x bv) / det``, so that their direction needs no solution at all.
+front, whatever rigid frame the points are in. Its direction needs no solution of the normal equations: the sum of
+``w (u - mean of the row) p`` is a multiple of ``pu``, and that of ``w (v - mean) p`` a multiple of ``pv`` and some of
+``pu``, which does not change the direction of the cross product.
 
 Only pixels of the same surface take part: along the window's middle column, and from there along each row, pixels
 follow each other until the position jumps, or until its second difference exceeds its noise (an edge between faces).
@@ -42,7 +43,7 @@ def normals_of(xyz: F32, sigma_mm: F32, *, stride: int = 1) -> F32:
     tiles = blocks(width, TILE)
     fit_normals(
         blocks(height, ROWS) * tiles, _writable(points).reshape(-1), _writable(sigma), tiles,
-        np.float32(_mean(points[::8, ::8, 2])), np.float32(_mean(sigma[::8, ::8]) ** 2),
+        np.float32(_mean(points[..., 2])), np.float32(_mean(sigma) ** 2),
         np.float32((_STEEPEST * pitch) ** 2), _CURVED_SQ * pitch * pitch, out.reshape(-1),
     )  # fmt: skip
     if stride == 1:
@@ -53,12 +54,14 @@ def normals_of(xyz: F32, sigma_mm: F32, *, stride: int = 1) -> F32:
 
 
 def pitch_mm(xyz: F32) -> float:
-    """Median distance of neighbours in a row, (H, W, 3) -> mm; 0 without neighbours."""
-    rows = xyz[:: max(1, len(xyz) // 16)]
-    steps = np.diff(rows, axis=1)
-    apart = np.sqrt(np.einsum("...k,...k", steps, steps))
-    apart = apart[np.isfinite(apart)]
-    return float(np.median(apart)) if len(apart) else 0.0
+    """Median distance of neighbours in some of the rows, in all if these have none, (H, W, 3) -> mm; 0 without any."""
+    for step in (max(1, len(xyz) // 8), 1):
+        steps = np.diff(xyz[::step], axis=1)
+        apart = np.sqrt(np.einsum("...k,...k", steps, steps))
+        apart = apart[np.isfinite(apart)]
+        if len(apart):
+            return float(np.median(apart))
+    return 0.0
 
 
 def _writable(array: F32) -> F32:
@@ -66,7 +69,11 @@ def _writable(array: F32) -> F32:
     return array if array.flags.writeable else array.copy()
 
 
-def _mean(values: F32) -> float:
-    """Mean of the known values; 1 without any."""
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else 1.0
+def _mean(plane: F32) -> float:
+    """Approximate mean of the known values of an (H, W) plane; 1 without any."""
+    for step in (16, 1):
+        values = plane[::step, ::step]
+        known = values[np.isfinite(values)]
+        if len(known):
+            return float(known.mean())
+    return 1.0

@@ -129,6 +129,27 @@ def test_lonely_points_and_unknown_ones_have_no_normal():
     assert known[80:90, 30:40].all() and known.sum() == 100
 
 
+def test_a_small_object_that_a_coarse_sample_misses_has_normals():
+    normal = unit(0.2, 0.1, -1)
+    points, full = np.full((HEIGHT, WIDTH, 3), np.nan, np.float32), plane(normal)
+    points[81:88, 33:40] = full[81:88, 33:40]
+    found = normals_of(points, sigma_of(points))
+    assert np.isfinite(found[..., 2]).sum() == 49
+    assert degrees(found[81:88, 33:40], normal).max() < 0.1
+
+
+def test_an_uneven_border_does_not_tilt_a_plane():
+    """Rows whose mean columns differ: the slope along the rows must not enter the one across them."""
+    normal = unit(0.5, -0.3, -0.8)
+    points = plane(normal)
+    rows, columns = np.indices((HEIGHT, WIDTH))
+    points[columns < 40 + 0.7 * rows] = np.nan
+    found = normals_of(points, sigma_of(points))
+    known = np.isfinite(found[..., 2])
+    assert known.sum() > 0.99 * np.isfinite(points[..., 2]).sum()
+    assert degrees(found, normal)[known].max() < 0.1
+
+
 def test_a_stride_gives_the_normals_of_these_pixels():
     points = noisy(plane(unit(0.3, -0.2, -1)), 0.02)
     sigma = sigma_of(points)
