@@ -43,7 +43,7 @@ _ZERO, _ONE, _FOUR, _TINY, _NAN = np.float32(0), np.float32(1), np.float32(4), n
 @serial
 def _load_row(
     xyz: Any, sigma: Any, height: int, width: int, y: int, first: int, reference: Any, unit: Any, raw: Any, new: int
-) -> bool:
+) -> Any:
     """A row of a tile with its margins; weight and position are 0 where there is no point, and beyond the image.
 
     Args:
