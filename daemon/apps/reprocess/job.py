@@ -35,7 +35,7 @@ class Job:
     Args:
         settings: of the pipeline; calibration: bytes of the file to use instead of the attached ones.
         kind: of the cloud files, or empty for none; calibration_check: policy for pairs that contradict the
-            calibration; use_prior: as of a replay.
+            calibration; use_prior, fuse: as of a replay.
         parts: what to write of each cloud, as of ``cloud_bytes``; empty = the default.
         chunk_pairs: pairs of images in a chunk.
         threads: of numba in each worker; no result depends on it.
@@ -49,6 +49,7 @@ class Job:
     parts: tuple[str, ...] = ()
     chunk_pairs: int = 16
     threads: int = 0
+    fuse: bool = False
     release: Mapping[str, str] = field(default_factory=release)
 
     def describe(self) -> dict[str, Any]:
@@ -60,6 +61,7 @@ class Job:
             "format": self.kind,
             "calibration_check": self.calibration_check,
             "follow": self.use_prior,
+            "temporal": "fuse" if self.fuse else "off",
             "parts": list(self.parts),
             "release": dict(self.release),
         }

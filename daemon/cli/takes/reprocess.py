@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
 
 import typer
 
@@ -37,6 +37,9 @@ def main(
     calibration_check: Annotated[
         str, typer.Option(help="Pairs that contradict the calibration: withhold their points, warn, or off.")
     ] = "withhold",
+    temporal: Annotated[
+        Literal["off", "fuse"], typer.Option(help="Average clouds where the scene is at rest.")
+    ] = "off",
     scheduler: Annotated[str | None, typer.Option(help="Use a running Dask cluster: tcp://HOST:8786.")] = None,
     workers: Annotated[
         int | None, typer.Option(min=0, max=1024, help="Worker processes here; 0 = none, all in this process.")
@@ -53,8 +56,8 @@ def main(
 ) -> None:
     """Reconstruct many recordings.
 
-    The clouds are bit for bit those of `fringed replay`, for any number of workers and any --chunk; temporal fusion is
-    left to `fringed replay`. Run again, the command does only what is missing or would differ. Exit status 1:
+    The clouds are bit for bit those of `fringed replay`, for any number of workers and any --chunk; with --temporal
+    fuse a recording is one task. Run again, the command does only what is missing or would differ. Exit status 1:
     something has no result, see the list and report.html.
     """
     from daemon.apps.reprocess.destination.lock import locked
@@ -82,12 +85,14 @@ def main(
         parse_calibration(data, str(calibration))
     texts = set_ or []
     grid = [text for text in texts if "," in text]
+    if grid and temporal == "fuse":
+        raise InputError("--temporal fuse averages with all clouds before, and --set with several values samples pairs")
     settings = parsed_settings([text for text in texts if text not in grid])
     for changes in combinations(parsed_values(grid)):
         settings.with_overrides(changes)
     job = Job(
         settings, data, "" if kind == "none" else kind, cast(Policy, calibration_check), use_prior,
-        chosen_parts(parts) or (), chunk,
+        chosen_parts(parts) or (), chunk, fuse=temporal == "fuse",
     )  # fmt: skip
     recordings = recordings_of(sources)
     count = len(os.sched_getaffinity(0)) if workers is None else workers

@@ -81,12 +81,15 @@ class TakePlan:
         return sum(len(chunk.items) for chunk in self.chunks)
 
 
-def plan_take(path: Path, *, chunk_pairs: int, use_prior: bool = False, excluded: Collection[Place] = ()) -> TakePlan:
+def plan_take(
+    path: Path, *, chunk_pairs: int, use_prior: bool = False, fuse: bool = False, excluded: Collection[Place] = ()
+) -> TakePlan:
     """Read indexes and heads of a take, and divide its items.
 
     Args:
         chunk_pairs: pairs of images in a chunk; the same division results after frames were excluded.
         use_prior: divide only where no pair can use the one before as temporal prior.
+        fuse: one chunk, as every cloud is averaged with those before.
 
     Raises:
         TakeError: not a readable take; PipelineError: attachments that cannot be used.
@@ -96,7 +99,9 @@ def plan_take(path: Path, *, chunk_pairs: int, use_prior: bool = False, excluded
         sets = None if sequence is None else Sets(take, sequence)
         items = list(_last_of_each_number([_planned(item) for item in (sets.items() if sets else pairs_of(take))]))
         ends = [take.ordinals[max(item.lefts + item.rights)] for item in items]
-        if use_prior and sets is None:
+        if fuse:
+            chunks = [Chunk(0, tuple(items))] if items else []
+        elif use_prior and sets is None:
             chunks = _between_gaps(items, ends)
         else:
             chunks = _by_position(items, ends, 2 * chunk_pairs)

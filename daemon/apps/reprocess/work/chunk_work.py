@@ -217,12 +217,17 @@ def reconstructor_for(
 ) -> tuple[Any, CarriedState]:
     """A reconstructor in this state, or in its first one for images of another encoding."""
     attached = [take.attachments.get(name, b"").hex() for name in ("pattern.json", "volume.json")]
-    options = dataclasses.asdict(job.settings), job.calibration_check, job.use_prior, job.threads
+    options = dataclasses.asdict(job.settings), job.calibration_check, job.use_prior, job.fuse, job.threads
     key = json.dumps([calibration.identity, attached, encoding, options])
+    if job.fuse and state.encoding != encoding:
+        _reconstructors.pop(
+            key, None
+        )  # one that has made no cloud yet, as in a replay: the average is no carried state
     if key not in _reconstructors:
         made = warmed_reconstructor(
             calibration.calibration, take.sequence() or take.pattern(), take.volume(), encoding=encoding,
             settings=job.settings, threads=job.threads, use_prior=job.use_prior, policy=job.calibration_check,
+            fuse=job.fuse,
         )  # fmt: skip
         _reconstructors[key] = made, capture(made)
         if len(_reconstructors) > _RECONSTRUCTORS:

@@ -79,7 +79,9 @@ def _layout(job: Job, plan: TakePlan) -> str:
 def plan_recording(job: Job, url: str, folder: str, excluded: Collection[Place] = ()) -> Planned:
     """Plan a recording and find its finished and failed chunks; nothing is changed."""
     try:
-        plan = plan_take(location(url), chunk_pairs=job.chunk_pairs, use_prior=job.use_prior, excluded=excluded)
+        plan = plan_take(
+            location(url), chunk_pairs=job.chunk_pairs, use_prior=job.use_prior, fuse=job.fuse, excluded=excluded
+        )
         results = TakeResults(location(folder))
         layout = _layout(job, plan)
         out = Planned(plan, [job.key(chunk.source() + layout, plan.attachments) for chunk in plan.chunks])

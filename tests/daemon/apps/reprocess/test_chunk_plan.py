@@ -85,6 +85,11 @@ def test_with_a_temporal_prior_chunks_end_only_where_no_pair_can_use_the_one_bef
     assert [len(chunk.items) for chunk in plan.chunks] == [5, 3, 1]
 
 
+def test_with_temporal_fusion_a_take_is_one_chunk(tmp_path: Path) -> None:
+    take = recorded(tmp_path / "a.mcap", [takes.pair(n) for n in (*range(5), 200)])
+    assert [len(chunk.items) for chunk in plan_take(take, chunk_pairs=1, fuse=True).chunks] == [6]
+
+
 def test_no_image_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     take = recorded(tmp_path / "a.mcap", [takes.pair(n) for n in range(4)])
     monkeypatch.setattr("daemon.recording.format.mcap_chunks.load", lambda *_: pytest.fail("a chunk was loaded"))

@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from daemon.apps.reprocess.carried_state import CarriedState, capture, restore
+from daemon.apps.reprocess.engine.tasks import InlineEngine
 from daemon.recording.read.take_reader import TakeReader
 from pipeline.common.errors import ImageError
 from pipeline.common.settings import Settings
@@ -73,6 +74,18 @@ def test_so_they_are_with_a_temporal_prior(images: Images, tmp_path: Path, chunk
     assert files_of(tmp_path / "out" / "a") == files
     assert len(files) == 7
     assert len(list((tmp_path / "out" / "a" / "chunks").iterdir())) == 2
+
+
+def test_so_they_are_with_temporal_fusion(images: Images, tmp_path: Path) -> None:
+    takes = [write(tmp_path / f"{name}.mcap", images[n : n + 1], 4) for n, name in enumerate(("first", "second"))]
+    reprocess(takes, tmp_path / "out", engine=InlineEngine(), chunk_pairs=1, fuse=True)
+    for take in takes:
+        files, verdicts = replayed(take, fuse=True)
+        assert files != replayed(take)[0]
+        assert files_of(tmp_path / "out" / take.stem) == files
+        assert verdicts_in(tmp_path / "out" / take.stem) == verdicts
+    assert reprocess(takes, tmp_path / "out", fuse=True).computed == 0
+    assert reprocess(takes, tmp_path / "out").computed == 8
 
 
 def test_other_settings_reach_the_workers(take: Path, tmp_path: Path) -> None:
