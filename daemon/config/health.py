@@ -37,6 +37,8 @@ class HealthLimits(Section):
         Annotated[float, Field(gt=0, le=127)] | None,
         Field(description="Fringe amplitude of the weakest channel where there is light, counts."),
     ] = 8.0
+    least_lit_share: Annotated[Share | None, Field(description="Pixels with fringes, share of the image.")] = 0.001
+    least_lit_coverage: Annotated[Share | None, Field(description="Points, share of the pixels with fringes.")] = 0.001
     least_coverage: Annotated[Share | None, Field(description="Pixels with a point, share.")] = None
     temperature_c: Annotated[
         Annotated[float, Field(gt=0, le=150)] | None, Field(description="Temperature of a camera, degrees Celsius.")

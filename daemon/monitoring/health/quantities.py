@@ -30,6 +30,7 @@ def _light() -> tuple[Quantity, ...]:
     for side in SIDES:
         out += [Quantity(f"modulation_{side}_{c}", "counts", f"fringe amplitude, {side}, {c}") for c in CHANNELS]
         out.append(Quantity(f"modulation_{side}", "counts", f"the same of the weakest channel, {side}"))
+    out += [Quantity(f"lit_share_{side}", "", f"pixels with fringes, {side} camera") for side in SIDES]
     return tuple(out)
 
 

@@ -95,6 +95,20 @@ RULES: tuple[Rule, ...] = (
         below=True,
     ),
     Rule(
+        "least_lit_share",
+        _sides("lit_share_{}"),
+        Level.ILL,
+        "no fringes ({value} of the image): projector, lens cap, exposure",
+        below=True,
+    ),
+    Rule(
+        "least_lit_coverage",
+        ("coverage_lit",),
+        Level.ILL,
+        "{value} of the lit pixels have a point: projected image, volume, calibration",
+        below=True,
+    ),
+    Rule(
         "least_coverage", ("coverage",), Level.ILL, "{value} of the pixels have a point, less than {limit}", below=True
     ),
     Rule("temperature_c", _sides("temperature_{}_c"), Level.WARNING, "{value}, more than {limit}"),

@@ -1,4 +1,4 @@
-"""Illumination of some of the pairs: saturated samples, fringe amplitude and coverage, as quantities."""
+"""Illumination of some of the pairs: saturated samples, fringes and coverage, as quantities."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import numpy as np
 from daemon.live.items import CloudItem
 from daemon.monitoring.health.quantities import CHANNELS
 from drivers.protocols import SIDES
-from pipeline.monitor.illumination import LINES, ImageIllumination, fringe_period_px, measure_illumination
+from pipeline.monitor.illumination import ImageIllumination, fringe_period_px, measure_illumination
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration
 
 _LIT = 5
+_ROWS = 4
+"""Every so many rows are examined for fringes and points: an object of more rows is not missed."""
 
 
 class Illumination:
@@ -34,6 +36,7 @@ class Illumination:
                 frame.image, frame.encoding, modulation, period_px=self._period_px, stride=item.stride, axis=self._axis
             )
             out |= _quantities(side, result)
+            out[f"lit_share_{side}"] = float(np.mean(modulation[::_ROWS] >= _LIT))
         return out
 
 
@@ -48,10 +51,8 @@ def _quantities(side: str, result: ImageIllumination) -> dict[str, float]:
 
 
 def _coverage(item: CloudItem) -> float:
-    """Return the share of the pixels with fringes that have a point, on some lines."""
-    height = item.measured.gray.shape[0]
-    rows = np.linspace(0, height - 1, min(LINES, height) + 2)[1:-1].astype(int)
-    lit = item.measured.modulation[0][rows] >= _LIT
-    valid = np.isfinite(item.measured.xyz[rows, :, 2])
+    """Return the share of the pixels with fringes that have a point, in some rows."""
+    lit = item.measured.modulation[0][::_ROWS] >= _LIT
+    valid = np.isfinite(item.measured.xyz[::_ROWS, :, 2])
     count = int(np.count_nonzero(lit))
     return float(np.count_nonzero(valid & lit)) / count if count else math.nan

@@ -23,7 +23,7 @@ from daemon.rig.open_rig import Rig
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.volume import Volume
 from tests.daemon.live.publishing.clouds import calibration
-from tests.daemon.monitoring.health.samples import Clock, cloud, frame, pair, status
+from tests.daemon.monitoring.health.samples import SIZE, Clock, cloud, frame, pair, status
 from tools.waiting import wait_until
 
 
@@ -53,13 +53,17 @@ def watch(tmp_path: Path, clock: Clock) -> Iterator[Health]:
     made.close()
 
 
-def seconds(watch: Health, clock: Clock, count: int, *, latency_ms: float = 30.0, **values: Any) -> None:
-    """Feed seconds, each evaluated before the next begins."""
+def seconds(
+    watch: Health, clock: Clock, count: int, *, latency_ms: float = 30.0, lit: Any = (50, 50), **values: Any
+) -> None:
+    """Feed seconds, each evaluated before the next begins; ``lit``: modulation of both cameras."""
     for _ in range(count):
         clock.move(1.0)
         seq = clock.now_ns // 1_000_000_000
         assert watch.offer(pair(seq, clock.realtime_ns()))
-        assert watch.offer(cloud(seq, clock.realtime_ns(), latency_ms=latency_ms, ms={"decode": 3.0}))
+        item = cloud(seq, clock.realtime_ns(), latency_ms=latency_ms, ms={"decode": 3.0})
+        modulation = tuple(np.full((SIZE[1], SIZE[0]), side, np.uint8) for side in lit)
+        assert watch.offer(replace(item, cloud=replace(item.cloud, modulation=modulation)))
         before = watch.monitor.history.rows[0]
         watch.note_status(status(t_ns=clock.realtime_ns(), **values))
         wait_until(lambda before=before: watch.monitor.history.rows[0] == before + 1)
@@ -86,6 +90,26 @@ def test_the_illumination_of_a_pair_is_examined(watch: Health, clock: Clock) -> 
     watch.note_status(status(t_ns=clock.realtime_ns()))
     wait_until(lambda: watch.monitor.values["saturated_left_red"] == 1.0)
     assert watch.monitor.values["saturated_right"] == 0.0 and watch.monitor.values["coverage_lit"] == 1.0
+
+
+def test_a_pair_without_fringes_makes_the_daemon_ill_until_they_are_back(watch: Health, clock: Clock) -> None:
+    seconds(watch, clock, 5)
+    assert watch.monitor.values["lit_share_left"] == 1.0
+    seconds(watch, clock, 10, lit=(50, 0))
+    wait_until(lambda: watch.status()["verdict"] == "ill")
+    assert watch.status()["open"] == {
+        "least_lit_share": "no fringes (0 % of the image): projector, lens cap, exposure (right camera)"
+    }
+    seconds(watch, clock, 16)
+    wait_until(lambda: watch.status()["verdict"] == "healthy")
+
+
+def test_one_small_object_is_light_enough(watch: Health, clock: Clock) -> None:
+    few = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+    few[8:12, 20:24] = 50
+    seconds(watch, clock, 12, lit=(few, few))
+    assert watch.status()["verdict"] == "healthy"
+    assert watch.monitor.values["lit_share_right"] == pytest.approx(16 / few.size)
 
 
 def test_images_that_cannot_be_examined_are_reported_and_the_seconds_go_on(watch: Health, clock: Clock) -> None:
