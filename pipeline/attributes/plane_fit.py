@@ -1,7 +1,7 @@
 """The weighted plane fit of :mod:`pipeline.attributes.normals`: links between pixels, sums over the window, normals.
 
 A tile is processed row by row. The sums along all its rows stay in the second-level cache; a row's normals follow from
-those of seven. Rows are a constant distance apart, so the compiler knows without tests at run time which ones overlap.
+those of seven. Rows are a constant distance apart, so that the compiler needs no tests at run time for their overlap.
 """
 
 from __future__ import annotations
