@@ -25,7 +25,9 @@ from fringed import SilenceError, subscribe
 from sim.box.box import GENTL_DIR, Box
 from sim.box.exposure_ledger import Trigger
 from sim.box.options import from_mapping
-from sim.box.world import Counts, Image, Lit
+from sim.box.world import Lit
+from sim.render.projection_transport import Counts
+from sim.render.render_pair import Image
 from tools.waiting import wait_until
 
 STAGES = {

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from benchmarks.common.box_daemon import Daemon
 from benchmarks.common.process_statistics import sample
-from daemon.live.items import Pair
+from daemon.live.items import ImageSet, Pair
 from drivers.protocols import SIDES
 from sim.box.box import GENTL_DIR, Box
 from sim.box.options import from_mapping
@@ -176,11 +176,11 @@ def _measure_some(daemon: Daemon, every: int) -> None:
     """Give the pipeline only one pair in so many, so that the processor is free for the acquisition."""
     offer, counter = daemon.service.worker.offer, itertools.count()
 
-    def offer_some(pair: Pair) -> None:
+    def offer_some(pair: Pair | ImageSet) -> None:
         if next(counter) % every == 0:
             offer(pair)
 
-    daemon.service.worker.offer = offer_some  # type: ignore[method-assign]
+    daemon.service.worker.offer = offer_some  # type: ignore[method-assign, assignment]
 
 
 def describe(result: Result) -> str:

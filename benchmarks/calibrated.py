@@ -12,6 +12,7 @@ import argparse
 import sys
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ from sim.scene.named_scenes import build
 
 SCENES = "plane", "spheres", "face"
 ERROR_LIMIT, PHASE_LIMIT = 1.3, 8.0
-Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
+Pair = tuple[NDArray[Any], NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ class Rig:
         return [
             stage.images(stage.counts(np.ascontiguousarray(frame.image(response))), 1_000 * (self.seed + seed) + k)
             for k, frame in enumerate(sequence.frames)
-        ]  # type: ignore[misc]
+        ]
 
 
 def colors(rig: Rig, geometry: Calibration | None = None) -> ColorSolution:
@@ -75,7 +76,7 @@ def view_of(
     observations = {}
     for k, side in enumerate(SIDES):
         images = [pair[k] for pair in pairs]
-        x, y = (coordinate(images, sequence, axis) for axis in ("x", "y"))  # type: ignore[arg-type]
+        x, y = (coordinate(images, sequence, axis) for axis in ("x", "y"))
         observations[side] = CameraObservation(marks_of(images[0], board), x, y)
     marks = {side: one.marks for side, one in observations.items()}
     return BoardView(f"view {number}", marks | {"projector": projector_marks(board, observations).marks})
@@ -92,7 +93,8 @@ def geometry(rig: Rig, board: Board, views: int, color: ColorSolution) -> tuple[
     print()
     sizes = dict.fromkeys(SIDES, layout.camera_size) | {"projector": layout.projector_size}
     solution = calibrate(board, found, sizes)
-    calibrated = Calibration(**{name: solution.devices[name] for name in ("left", "right", "projector")})
+    devices = solution.devices
+    calibrated = Calibration(devices["left"], devices["right"], devices["projector"])
     return calibrated, {name: float(value) for name, value in solution.quality().items()}
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,7 @@ class Sessions:
         }
 
 
-def marks_of(image: NDArray[np.uint8], board: Board) -> Marks:
+def marks_of(image: NDArray[Any], board: Board) -> Marks:
     """The marks of a board in one image, ordered by their numbers."""
     marks = find_marks(image, board).marks
     order = np.argsort(marks.ids)

@@ -63,10 +63,17 @@ def _cloud(take: Path, settings: Settings) -> Cloud:
         return next(Replay(reader, settings, parts=("rgb", "normals")).results()).cloud
 
 
+def _gray(path: Path) -> Array:
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise SystemExit(f"{path}: not an image")
+    return image
+
+
 def _color(cloud: Cloud, images: list[Path]) -> None:
     """Error of the colour of points against the mean of the images, after one common factor."""
     assert cloud.rgb is not None
-    steps = np.stack([cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in images])
+    steps = np.stack([_gray(path) for path in images])
     where = np.isfinite(cloud.xyz[..., 2]) & (steps.max(axis=0) < 255)
     texture, color = steps[:, where].mean(axis=0), cloud.rgb[where].astype(np.float64)
     mean = color.mean(axis=1)

@@ -236,7 +236,7 @@ def type_name(schema: dict[str, Any]) -> str:
         return f"`{schema['$ref']}`"
     kind = schema.get("type", "any")
     if kind == "array":
-        items = schema.get("items") or next(iter(schema.get("prefixItems", [])), {})
+        items: Any = schema.get("items") or next(iter(schema.get("prefixItems", [])), {})
         return f"list of {type_name(items)}" if isinstance(items, dict) and items else "list"
     if kind == "object" and isinstance(schema.get("additionalProperties"), dict):
         return f"object of {type_name(schema['additionalProperties'])}"

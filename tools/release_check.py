@@ -52,7 +52,7 @@ def check_versions(root: Path) -> str:
     }
     if len(set(found.values())) > 1:
         raise ValueError(f"versions differ: {'; '.join(f'{place}: {name}' for place, name in found.items())}")
-    return found["CITATION.cff"]
+    return str(found["CITATION.cff"])
 
 
 def _first(pattern: str, path: Path) -> str:

@@ -73,9 +73,11 @@ def _freeze_daemon(rig: CampaignRig, random_: random.Random) -> None:
 
 
 def _kill_x(rig: CampaignRig, random_: random.Random) -> None:
-    rig.box.server.kill()
+    server = rig.box.server
+    assert server is not None
+    server.kill()
     pause(random_.uniform(0.2, 1.0))
-    rig.box.server.restart()
+    server.restart()
 
 
 def _unplug(count: int) -> Strike:

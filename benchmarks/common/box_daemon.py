@@ -14,7 +14,7 @@ import yaml
 
 from daemon.bootstrap.sinks import open_publisher
 from daemon.config import load_rig
-from daemon.live.items import CloudItem, Item, Pair
+from daemon.live.items import CloudItem, Item, Pair, Sink
 from daemon.live.service import Service
 from daemon.rig.open_rig import open_rig
 from drivers.protocols import SIDES
@@ -102,7 +102,7 @@ class Daemon:
             stack.callback(self.rig.release)
             publisher = open_publisher(config, self.rig, "box")
             self.pair_check = PairCheck(self._box.world.ledger, self._report)
-            sinks = {"stream": publisher, "pair check": self.pair_check}
+            sinks: dict[str, Sink] = {"stream": publisher, "pair check": self.pair_check}
             self.service = Service(config, self.rig, sinks, on_status=publisher.publish_status, session="box")
             self._thread = threading.Thread(target=self._run, name="daemon")
             self._thread.start()

@@ -40,7 +40,9 @@ class Round:
             started_s = time.monotonic()
             while time.monotonic() - started_s < seconds:
                 if receiver.poll(0.1) and (frames := receiver.take()) is not None:
-                    self.latencies_ms.append(wire.decode_header(frames)[1].stats["latency_ms"])
+                    header = wire.decode_header(frames)[1]
+                    assert isinstance(header, wire.CloudHeader)
+                    self.latencies_ms.append(header.stats["latency_ms"])
             self.rate_hz = len(self.latencies_ms) / (time.monotonic() - started_s)
         finally:
             receiver.close()

@@ -130,7 +130,8 @@ def peers(
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "pair.npz", Path(folder) / "found.npz"
         written(pair, case, source)
-        command = [PYTHON, Path(__file__).with_name("peers.py"), source, target, str(repeats), str(threads)]
+        script = Path(__file__).with_name("peers.py")
+        command: list[str | Path] = [PYTHON, script, source, target, str(repeats), str(threads)]
         subprocess.run([*command, *(["quick"] if quick else [])], env=environment(threads), timeout=900, check=True)
         with np.load(target) as arrays:
             found = dict(arrays)

@@ -76,7 +76,8 @@ def instrumented(assembly: str) -> str:
 def count_operations() -> Callable[[str], int]:
     """Let all kernels that are compiled from now on count; the result gives the value of a counter of :data:`KINDS`."""
     libc = ctypes.CDLL(None, use_errno=True)
-    libc.mmap.restype, libc.mmap.argtypes = ctypes.c_void_p, [ctypes.c_void_p, ctypes.c_size_t] + [ctypes.c_int] * 4
+    libc.mmap.restype = ctypes.c_void_p
+    libc.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_int]
     flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | _FIXED_NOREPLACE
     if libc.mmap(_ADDRESS, mmap.PAGESIZE, mmap.PROT_READ | mmap.PROT_WRITE, flags, -1, 0) != _ADDRESS:
         raise OSError(ctypes.get_errno(), "the page of the counters cannot be mapped")
@@ -122,7 +123,7 @@ class TouchedMemory:
             note()
 
         if by_loop:
-            ParallelFor.__call__ = call  # type: ignore[method-assign]
+            ParallelFor.__call__ = call  # type: ignore[method-assign, assignment]
 
     def total(self) -> int:
         """Bytes so far."""

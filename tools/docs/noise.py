@@ -11,6 +11,7 @@ the object, B amplitude, sigma_I image noise, from the simulator's standard ligh
 from __future__ import annotations
 
 import re
+from functools import partial
 from math import exp, pi, sqrt
 
 import numpy as np
@@ -104,11 +105,15 @@ def _small() -> float:
     return phase_noise(optics=Optics(full_well_e=2_500.0))
 
 
+def _with_table(table: str, found: re.Match[str]) -> str:
+    return f"{found[1]}\n{table}\n\n{found[2]}"
+
+
 def with_tables(markdown: str) -> str:
     """The page with its tables."""
     for name, table in tables().items():
         block = re.compile(rf"(<!-- computed: {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-        markdown = block.sub(lambda found, text=table: f"{found[1]}\n{text}\n\n{found[2]}", markdown)
+        markdown = block.sub(partial(_with_table, table), markdown)
     return markdown
 
 

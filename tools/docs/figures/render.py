@@ -117,7 +117,8 @@ def _barycentric(triangles: Array, points: Array) -> Array:
     area = np.where(np.abs(area) < 1e-12, 1e-12, area)
     second = (w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]) / area
     third = (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]) / area
-    return np.clip(np.stack([1 - second - third, second, third], axis=-1), 0, 1)
+    weights: Array = np.clip(np.stack([1 - second - third, second, third], axis=-1), 0, 1)
+    return weights
 
 
 def _bounds(vertices: Array) -> tuple[Array, Array]:
