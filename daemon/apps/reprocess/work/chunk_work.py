@@ -156,6 +156,7 @@ def _process(task: ChunkTask) -> ChunkManifest:
     )
     results.begin(task.chunk.name)
     prior, state = TemporalPrior(), task.before
+    warnings: tuple[str, ...] = ()
     damaged: list[Place] = []
     for row, planned in enumerate(task.chunk.items, task.row):
         try:
@@ -176,14 +177,14 @@ def _process(task: ChunkTask) -> ChunkManifest:
                 write_row(results.folder, row, None)
             continue
         finally:
-            state = capture(reconstructor)
+            state, warnings = capture(reconstructor), reconstructor.warnings
         prior.measured(planned.sequence, planned.t_ns, 1)
         manifest.rows.append(dataclasses.asdict(run) | shares(cloud, run.points))
         if job.kind == "zarr" or (job.kind and planned.write):
             _write(task, row, planned, with_item_parts(cloud, reconstructor, item, job.parts), results, manifest)
     if damaged:
         raise _Damage(damaged)
-    manifest.after, manifest.problems = state, problems_of(take, calibration)
+    manifest.after, manifest.problems = state, [*problems_of(take, calibration), *warnings]
     manifest.seconds, manifest.worker = round(time.perf_counter() - start_s, 3), f"{socket.gethostname()}:{os.getpid()}"
     manifest.cpu_seconds = round(time.process_time() - start_cpu_s, 3)
     results.finish(task.chunk.name, manifest)
@@ -220,9 +221,8 @@ def reconstructor_for(
     options = dataclasses.asdict(job.settings), job.calibration_check, job.use_prior, job.fuse, job.threads
     key = json.dumps([calibration.identity, attached, encoding, options])
     if job.fuse and state.encoding != encoding:
-        _reconstructors.pop(
-            key, None
-        )  # one that has made no cloud yet, as in a replay: the average is no carried state
+        # One that has made no cloud yet, as in a replay: the average is no carried state.
+        _reconstructors.pop(key, None)
     if key not in _reconstructors:
         made = warmed_reconstructor(
             calibration.calibration, take.sequence() or take.pattern(), take.volume(), encoding=encoding,
