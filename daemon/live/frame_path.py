@@ -14,8 +14,9 @@ from daemon.kernels.processes import Progress, compile_kernels
 from daemon.live.acquisition.camera_thread import CameraThread
 from daemon.live.acquisition.locked_pairer import LockedPairer, pairing_settings
 from daemon.live.items import Sink
+from daemon.live.processing.cloud_reconstructor import CloudReconstructor
 from daemon.live.processing.reconstructor_factory import make_reconstructor, warm_up
-from daemon.live.processing.worker import CloudReconstructor, Worker
+from daemon.live.processing.worker import Worker
 from daemon.live.projection.mode_controller import ModeController
 from daemon.live.router import Router
 from daemon.rig.camera_serials import serial_problem

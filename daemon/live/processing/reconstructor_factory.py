@@ -8,7 +8,7 @@ from typing import Any
 from daemon.common.errors import DaemonError
 from daemon.config.rig_config import Pipeline, RigConfig
 from daemon.live.items import SINGLE
-from daemon.live.processing.worker import CloudReconstructor
+from daemon.live.processing.cloud_reconstructor import CloudReconstructor
 from daemon.live.projection.mode_plan import ModePlan
 from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock

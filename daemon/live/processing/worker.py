@@ -7,7 +7,6 @@ import threading
 from collections import deque
 from collections.abc import Callable, Collection
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from typing import Any, Protocol
 
 from daemon.common import threads
 from daemon.common.counters import Counters, Percentiles, Rate
@@ -17,6 +16,7 @@ from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.config.rig_config import Pipeline
 from daemon.live.items import SINGLE, CloudItem, ImageSet, Pair
 from daemon.live.processing.calibration_verdicts import CalibrationVerdicts
+from daemon.live.processing.cloud_reconstructor import CloudReconstructor
 from daemon.live.processing.gc_control import GcControl, GcPauses
 from daemon.live.processing.load_shedding import LoadShedding
 from daemon.live.processing.page_faults import PageFaults
@@ -24,38 +24,12 @@ from daemon.live.processing.slowest_pair import SlowestPair
 from daemon.live.processing.temporal_prior import TemporalPrior
 from drivers.protocols import Clock
 from pipeline.common.errors import PipelineError
-from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.optional_parts import with_parts
 
 log = logging.getLogger("fringed.pipeline")
 
 _IDLE_S = 0.2
 _TURN_S, _MEASURE_S, _MAKE_S = 10.0, 30.0, 900.0  # longest times of a turn; compiling takes minutes
-
-
-class CloudReconstructor(Protocol):
-    """Makes clouds: of pairs in mode ``single``, of image sets in the other modes."""
-
-    @property
-    def mode(self) -> str:
-        """The mode whose images it reconstructs."""
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a user should correct at the cameras, a sentence each."""
-
-    def warm_up(self, *, strides: tuple[int, ...], use_prior: bool) -> None:
-        """Compile every kernel for these strides, and for the use of a prior."""
-
-    def reconstruct(self, left: Any, right: Any, /, *, stride: int = 1, use_prior: bool = False) -> Cloud:
-        """The cloud of two raw images, or of the two lists of a set's images.
-
-        Args:
-            stride: spacing of the pixels that are measured; use_prior: the last pair's orders are a good guess.
-        """
-
-    def color(self, left: Any, /) -> Any:
-        """The fringe-free colour of the left raw image, or of a set's left images, (H, W, 3) uint8."""
 
 
 Make = Callable[[], CloudReconstructor | None]
