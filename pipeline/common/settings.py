@@ -90,7 +90,7 @@ class Settings:
     fusion_clouds: int = 8
     """Temporal fusion (pipeline.temporal: fuse): most clouds that are averaged where a surface is at rest."""
     self_calibrate: bool = True
-    """Correct the projector columns from the first pair."""
+    """Correct projector columns, and white balance and contrast of the right camera, from the first pair."""
     self_calibration_range: float = 2.0
     """Largest offset of the projector columns that is searched, projector pixels."""
     read_noise: float = 0.0

@@ -106,6 +106,8 @@ class SetReconstructor:
         warm_up_conflicts()
         self.color(sides[0])
         normals_of(cloud.xyz, cloud.sigma_mm)
+        if self._filters is not None:
+            self._filters.restart()
         self.restore(kept)
 
     def color(self, lefts: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
