@@ -7,6 +7,7 @@ are made once; what shares a resource carries the same ``xdist_group``. Kernels 
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 import random
 import subprocess
@@ -20,7 +21,7 @@ from typing import Any
 import hypothesis
 import pytest
 
-from tests import kernels
+from tests import bytecode, kernels
 
 # As the program itself has it (daemon.cli.allocator), before anything imports numpy.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -50,18 +51,23 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_sessionstart(session: pytest.Session) -> None:
     """With workers, compile before they start."""
     if session.config.getoption("numprocesses", None) and not _is_worker(session.config):
+        bytecode.rewrite_all(session.config, HERE)
         named = [Path(arg.partition("::")[0]).resolve() for arg in session.config.args]
         _compile_kernels(session.config, named)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Without workers, compile before the first test; the time-outs of the tests do not count it."""
+    gc.collect()
+    gc.freeze()  # a million objects of modules and tests: each full collection would visit them again
     if not session.config.getoption("numprocesses", None) and not _is_worker(session.config):
         _compile_kernels(session.config, [item.path for item in session.items])
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Shuffle if asked for; else, for workers, files with slow tests come first, so that they end together."""
+    if any(item.get_closest_marker("threads") and not item.path.is_relative_to(HERE / "pipeline") for item in items):
+        raise pytest.UsageError("make test looks for tests marked threads in tests/pipeline only")
     files: dict[Path, list[pytest.Item]] = {}
     for item in items:
         files.setdefault(item.path, []).append(item)
