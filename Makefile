@@ -39,7 +39,7 @@ demo: $(RIG)  ## measure a moving object on the simulated rig, live; prints the 
 test: $(DEV)  ## all checks: style, types, layers, tests but the long ones; twelve minutes on two cores
 	tools/system-packages browser x11 compiler systemd
 	$(MAKE) --no-print-directory --jobs 2 check pytest
-	$(BIN)/python -m pytest -m 'threads and not long'
+	$(BIN)/python -m pytest -m 'threads and not long' tests/pipeline
 
 # Beside `check`, whose longest part, mypy, has one thread.
 pytest: $(DEV)
