@@ -48,17 +48,17 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def three_workers(tmp_path_factory: pytest.TempPathFactory, scheduler: str) -> Iterator[str]:
-    """Address of that scheduler, which has three workers; each is started again when it dies."""
-    with cluster.workers(scheduler, 3, tmp_path_factory.mktemp("workers")):
+def two_workers(tmp_path_factory: pytest.TempPathFactory, scheduler: str) -> Iterator[str]:
+    """Address of that scheduler, which has two workers; each is started again when it dies."""
+    with cluster.workers(scheduler, 2, tmp_path_factory.mktemp("workers")):
         yield scheduler
 
 
 @pytest.fixture
-def engine(three_workers: str) -> Iterator[DaskEngine]:
-    """The engine with all of them, also after a test that killed some."""
-    with connected(three_workers) as engine:
-        engine._client.wait_for_workers(3, timeout=60)
+def engine(two_workers: str) -> Iterator[DaskEngine]:
+    """The engine with both of them, also after a test that killed some."""
+    with connected(two_workers) as engine:
+        engine._client.wait_for_workers(2, timeout=60)
         yield engine
 
 
@@ -114,7 +114,7 @@ def test_after_the_death_of_the_scheduler_the_same_command_completes_the_results
     out = tmp_path / "out"
     with (
         cluster.scheduler(tmp_path) as (process, address),
-        cluster.workers(address, 2, tmp_path),
+        cluster.workers(address, 1, tmp_path),
         connected(address) as lost,
     ):
 
@@ -170,7 +170,7 @@ def test_a_worker_that_was_ended_for_lack_of_memory_is_named_as_such(tmp_path: P
 def test_workers_have_one_task_thread_and_one_thread_of_numba(engine: DaskEngine) -> None:
     threads = engine._client.run(numba_threads)
     assert set(engine._client.nthreads().values()) == {1}
-    assert engine.slots == 3
+    assert engine.slots == 2
     assert set(threads.values()) == {(1, "1", "1")}
 
 
