@@ -39,6 +39,9 @@ def devices(**options: Any) -> RigDevices:
     return open_rig(merged, Path(), images=Noise(size), clock=SteppedClock())
 
 
+STEPPED_NS = 50_000_000
+
+
 class SteppedClock:
     """Real time that the test moves on, 50 ms a trigger, from a fixed start."""
 
@@ -54,7 +57,7 @@ class SteppedClock:
 
 def step(made: RigDevices) -> None:
     """One trigger, 50 ms after the one before."""
-    made.trigger._clock.now_ns += 50_000_000  # type: ignore[attr-defined]
+    made.trigger._clock.now_ns += STEPPED_NS  # type: ignore[attr-defined]
     made.trigger.step()
 
 

@@ -22,10 +22,10 @@ from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.volume import Volume
 from sim.devices.open_rig import open_rig
 from sim.rig.layout import RigLayout
-from tests.daemon.rigs import SteppedClock, config, rig_of, step
+from tests.daemon.rigs import STEPPED_NS, SteppedClock, config, rig_of, step
 from tools.waiting import wait_until
 
-STEP_S = 0.05  # of the stepped clock, a trigger
+STEP_S = 0.2  # of the stepped clock, a trigger: every pair is examined
 WITHIN = round(5 / STEP_S)
 LIVE = {"live": True, "scene": "face", "rate_hz": 0.0, "layout": {"scale": 0.5}}
 
@@ -52,7 +52,8 @@ def running(tmp_path: Path, options: dict[str, Any]) -> Iterator[tuple[Any, Serv
 
     def trigger() -> None:
         nonlocal taken
-        pairs, due = service.pairer.pairs, check._due_ns <= clock.now_ns + 50_000_000
+        pairs, due = service.pairer.pairs, check._due_ns <= clock.now_ns + round(1e9 * STEP_S)
+        clock.now_ns += round(1e9 * STEP_S) - STEPPED_NS
         step(made)
         wait_until(lambda: measured(pairs + 1))
         if due:
@@ -93,7 +94,7 @@ def test_a_disturbance_is_reported_within_five_seconds_and_so_is_its_end(
 ) -> None:
     caplog.set_level("INFO", logger="fringed.selfcheck")
     with running(tmp_path, LIVE) as (made, service, trigger):
-        for _ in range(WITHIN + 20):
+        for _ in range(WITHIN + round(1 / STEP_S)):
             trigger()
         status = service.status()
         assert status.selfcheck["verdict"] == "ok" and not status.reasons, status.selfcheck
