@@ -19,7 +19,7 @@ from sim.box.box import Box
 from sim.render.projection_transport import Stage
 from sim.scene import named_scenes
 
-TRIGGERS = 300
+TRIGGERS = 120
 
 
 @contextmanager
