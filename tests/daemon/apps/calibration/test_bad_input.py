@@ -18,6 +18,14 @@ Change = Callable[[np.ndarray], np.ndarray]
 OLD = b"fringed_calibration: 1\n# a calibration that must stay as it is\n"
 
 
+@pytest.fixture
+def images(images: Path) -> Path:
+    """Six views of the session: as many as the reasons below need."""
+    for path in images.glob("[LR]/0[6-9].png"):
+        path.unlink()
+    return images
+
+
 def every(folder: Path, how: Change, *, sides: str = "LR") -> None:
     for side in sides:
         for path in sorted((folder / side).iterdir()):
@@ -70,11 +78,11 @@ CASES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda f: every(f, lambda p: np.hstack([p, p])),
         r"L/00.png: the image shows two boards",
     ),
-    "identical views": (identical, r"the 10 views are all alike"),
+    "identical views": (identical, r"the 6 views are all alike"),
     "shifted views": (shifted, r"contradict each other: only .* views agree"),
     "counts differ": (
         lambda f: (f / "R" / "03.png").unlink(),
-        r"--left .*L/\*.png names 10 images and --right .*R/\*.png names 9",
+        r"--left .*L/\*.png names 6 images and --right .*R/\*.png names 5",
     ),
     "sizes differ": (
         lambda f: one(f, "R/04.png", lambda p: p[:-20]),
@@ -94,7 +102,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str]] = {
         r"L/00.png: 40 x 40 pixels; expected 64 to 16384",
     ),
     "too few views": (
-        lambda f: [path.unlink() for path in f.glob("[LR]/0[2-9].png")],
+        lambda f: [path.unlink() for path in f.glob("[LR]/0[2-5].png")],
         r"2 views of the board, at least 3 are required",
     ),
 }
@@ -159,12 +167,12 @@ def test_a_projector_without_fringes_is_rejected(images: Path, capsys: pytest.Ca
 
 def test_some_bad_images_are_left_out_and_named(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
     one(images, "L/01.png", lambda p: cv2.GaussianBlur(p, (0, 0), 5))
-    one(images, "R/06.png", lambda p: np.full_like(p, 90))
+    one(images, "R/04.png", lambda p: np.full_like(p, 90))
     left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
     out = str(images / "new.yaml")
     assert run(["calibrate", "cameras", "--left", left, "--right", right, "--board", BOARD, "--out", out]) == 0
     output = capsys.readouterr()
     assert re.search(r"left out: .*L/01.png: image too blurred", output.err)
-    assert re.search(r"left out: .*R/06.png: no marks found", output.err)
+    assert re.search(r"left out: .*R/04.png: no marks found", output.err)
     page = (images / "new.report.html").read_text()
     assert "image too blurred" in page

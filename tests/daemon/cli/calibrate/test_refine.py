@@ -28,12 +28,12 @@ SCALE = 0.375
 
 @pytest.fixture(scope="module")
 def rig() -> Rig:
-    return Rig(SCALE, instants=3)
+    return Rig(SCALE, instants=2)
 
 
 def pairs(rig: Rig, *disturbances: Disturbance) -> list[Pair]:
     scene = rig.scene(*disturbances)
-    return [scene.pair(index) for index in islice(range(100), 6)]  # type: ignore[misc]
+    return [scene.pair(index) for index in islice(range(100), 4)]  # type: ignore[misc]
 
 
 def test_a_rotated_right_camera_is_identified_and_corrected(rig: Rig) -> None:
