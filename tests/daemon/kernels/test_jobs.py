@@ -29,7 +29,7 @@ print(hits > 20, *missed)
 """
 
 
-@pytest.mark.parametrize("encoding", ["rgb8", "bayer_grbg8"])
+@pytest.mark.parametrize("encoding", [pytest.param("rgb8", marks=pytest.mark.long), "bayer_grbg8"])
 def test_a_reconstruction_finds_all_kernels_compiled(encoding: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", _PROGRAM, encoding], capture_output=True, text=True, timeout=100, check=False

@@ -83,7 +83,14 @@ def test_images_are_exact_and_belong_to_their_pulse(make: Make, rig: Rig) -> Non
         assert abs(frame.t_exposure_ns - real) < 1_000_000
 
 
-@pytest.mark.parametrize("name", [name for name in BY_NAME if name.startswith(("Mono", "BayerRG", "RGB8"))])
+FORMATS = [name for name in BY_NAME if name.startswith(("Mono", "BayerRG", "RGB8"))]
+KINDS = "Mono8", "Mono12Packed", "Mono14", "Mono16", "BayerRG8", "BayerRG12p", "RGB8"
+"""One of each size, packing and colour; the others are long."""
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in KINDS else pytest.param(name, marks=pytest.mark.long) for name in FORMATS]
+)
 def test_each_format_that_the_camera_has(make: Make, rig: Rig, name: str) -> None:
     cable, camera = rig[0], make(pixel_format=name)
     try:

@@ -49,7 +49,10 @@ def reconstructor(calibration: Calibration | None = None, policy: str = "withhol
     return CheckedReconstructor(Reconstructor(calibration, LAYOUT.pattern(), LAYOUT.volume(), **options), policy)
 
 
-@pytest.mark.parametrize("scene", ["mixed", "face", "hand", "steep", "isolated", "gloss"])
+@pytest.mark.parametrize(
+    "scene",
+    ["mixed", "steep", "gloss", *(pytest.param(name, marks=pytest.mark.long) for name in ("face", "hand", "isolated"))],
+)
 def test_a_rig_as_calibrated_is_consistent(scene: str):
     images = pair(scene)
     cloud = reconstructor().reconstruct(images.left, images.right)
@@ -70,7 +73,7 @@ def test_every_reading_fits_into_a_message():
     [
         (Optics.realistic(), "bayer_rggb8"),
         (Optics(gamma=2.2, precorrected=False, crosstalk_error=0.1), "rgb8"),
-        (Optics(noise=3.0), "rgb8"),
+        pytest.param(Optics(noise=3.0), "rgb8", marks=pytest.mark.long),
     ],
 )
 def test_ordinary_errors_of_colour_noise_and_projector_are_no_inconsistency(optics: Optics, encoding: str):

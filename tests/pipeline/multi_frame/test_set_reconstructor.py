@@ -12,8 +12,10 @@ from sim.rig.optics import Optics
 from tests.pipeline.multi_frame.sets import LAYOUT, OPTICS, SETTINGS, in_motion, made, sequence, taken, truth
 
 KINDS = [
-    ("heterodyne", "rgb8"), ("heterodyne", "bayer_rggb8"), ("heterodyne", "mono8"), ("heterodyne", "mono16"),
-    ("gray", "rgb8"), ("gray", "bayer_rggb8"), ("gray", "mono8"), ("two_color", "rgb8"), ("two_color", "bayer_rggb8"),
+    ("heterodyne", "rgb8"), ("heterodyne", "bayer_rggb8"), ("heterodyne", "mono16"),
+    ("gray", "rgb8"), ("gray", "mono8"), ("two_color", "rgb8"), ("two_color", "bayer_rggb8"),
+    pytest.param("heterodyne", "mono8", marks=pytest.mark.long),
+    pytest.param("gray", "bayer_rggb8", marks=pytest.mark.long),
 ]  # fmt: skip
 
 
@@ -36,8 +38,15 @@ def test_errors_agree_with_sigma(mode):
     assert 0.5 < np.median(np.abs(error)) / 0.6745 < 1.6
 
 
-@pytest.mark.parametrize("mode", ["heterodyne", "gray"])
-@pytest.mark.parametrize("speed_m_s", [0.3, 1.0])
+@pytest.mark.parametrize(
+    ("mode", "speed_m_s"),
+    [
+        ("heterodyne", 0.3),
+        ("gray", 1.0),
+        pytest.param("heterodyne", 1.0, marks=pytest.mark.long),
+        pytest.param("gray", 0.3, marks=pytest.mark.long),
+    ],
+)
 def test_moving_surfaces_are_unknown_rather_than_wrong(mode, speed_m_s):
     reconstructor = made(mode)
     cloud = reconstructor.reconstruct(*in_motion(mode, speed_m_s))

@@ -219,7 +219,7 @@ HALF = RigLayout().scaled(0.5)
 PROMISES = [
     pytest.param("mixed", HALF, 0.935, 0.0035, 0.130),
     pytest.param("plane", HALF, 0.99, 0.0005, 0.050),
-    pytest.param("mixed", RigLayout(projector_fraction=0.5).scaled(0.5), 0.90, 0.006, 0.130),
+    pytest.param("mixed", RigLayout(projector_fraction=0.5).scaled(0.5), 0.90, 0.006, 0.130, marks=pytest.mark.long),
     pytest.param("mixed", RigLayout(), 0.965, 0.0008, 0.090, marks=pytest.mark.long),
     pytest.param("plane", RigLayout(), 0.99, 0.0005, 0.030, marks=pytest.mark.long),
     pytest.param("mixed", RigLayout(projector_fraction=0.5), 0.95, 0.0015, 0.090, marks=pytest.mark.long),

@@ -68,7 +68,7 @@ def test_a_search_with_prior_differs_from_a_full_search():
 
 
 @AXES
-@pytest.mark.parametrize("scene", ["mixed", "steps", "plane"])
+@pytest.mark.parametrize("scene", ["mixed", pytest.param("steps", marks=pytest.mark.long), "plane"])
 def test_a_cut_to_another_scene_costs_nothing(axis, scene):
     found = calibrated(axis)
     found.clear_prior()

@@ -35,7 +35,7 @@ print(before > 20, compiled() - before)
 """
 
 
-@pytest.mark.parametrize("encoding", ["rgb8", "bayer_grbg8"])
+@pytest.mark.parametrize("encoding", ["rgb8", pytest.param("bayer_grbg8", marks=pytest.mark.long)])
 def test_nothing_is_compiled_after_warming_up(encoding, tmp_path):
     for number in range(4):
         for side, image in zip(("left", "right"), images(pair("moving", number, encoding)), strict=True):

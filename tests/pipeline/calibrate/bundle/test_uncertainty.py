@@ -10,7 +10,7 @@ from pipeline.calibrate.targets.marks import BoardView, Marks
 from tests.pipeline.calibrate.bundle.sessions import session
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_standard_deviations_agree_with_the_scatter_of_twenty_sessions():
     """Although the expected noise of the marks (0.02 px) is less than the true one (0.03 px)."""
     values, reported = [], []

@@ -21,7 +21,14 @@ def errors(found, board, pose):
 
 @pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=str)
 @pytest.mark.parametrize(
-    "pose", [Pose(), Pose(40, 10), Pose(-20, 40, 30, FAR), Pose(10, 10, 90, FAR), Pose(15, -15, 180)]
+    "pose",
+    [
+        Pose(40, 10),
+        Pose(-20, 40, 30, FAR),
+        Pose(15, -15, 180),
+        pytest.param(Pose(), marks=pytest.mark.long),
+        pytest.param(Pose(10, 10, 90, FAR), marks=pytest.mark.long),
+    ],
 )
 def test_every_corner_is_located_where_the_full_model_has_it(board, pose):
     light = clean(board, DEVICE, pose, shade=(0.6, -0.4))

@@ -29,11 +29,11 @@ def errors(found, board, device, pose, positions=truth):
 FAR = (0.0, 0.0, 1800.0)
 POSES = [
     Pose(),
-    Pose(45),
-    Pose(0, 45),
+    pytest.param(Pose(45), marks=pytest.mark.long),
+    pytest.param(Pose(0, 45), marks=pytest.mark.long),
     Pose(-30, 30, 35, FAR),
     Pose(60, 0, 10),
-    Pose(20, 10, 90, FAR),
+    pytest.param(Pose(20, 10, 90, FAR), marks=pytest.mark.long),
     Pose(-15, 20, 180),
 ]
 
@@ -54,7 +54,7 @@ def test_every_circle_is_located_where_the_full_model_has_its_centroid(pose):
     assert np.abs(error.mean(axis=(0, 1))).max() < 0.001
 
 
-@pytest.mark.parametrize("noise", [1.0, 3.0, 8.0])
+@pytest.mark.parametrize("noise", [1.0, pytest.param(3.0, marks=pytest.mark.long), 8.0])
 def test_the_standard_deviation_follows_the_noise(tilted, noise):
     error, sigma = [], []
     for seed in range(6):
