@@ -67,7 +67,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Shuffle if asked for; else, for workers, files with slow tests come first, so that they end together."""
     if any(item.get_closest_marker("threads") and not item.path.is_relative_to(HERE / "pipeline") for item in items):
-        raise pytest.UsageError("make test looks for tests marked threads in tests/pipeline only")
+        raise pytest.UsageError("make test collects tests marked threads from tests/pipeline only")
     files: dict[Path, list[pytest.Item]] = {}
     for item in items:
         files.setdefault(item.path, []).append(item)
