@@ -39,7 +39,7 @@ from pipeline.rig.volume import Volume
 
 _LEAST_MARGIN = 0.3
 """Share of ``uniqueness_ratio`` that is asked of layouts where every surface's orders have small margins."""
-_RESPONSE_ROUNDS = 3
+_RESPONSE_ROUNDS, _LEAST_POINTS = 3, 1000
 _DISTINCT = 0.5
 """Weight of the projector's phase from which a surface with many ambiguous parts is rejected entirely: in such layouts
 only wrong orders have them."""
@@ -48,9 +48,9 @@ only wrong orders have them."""
 class Reconstructor:
     """Built once for a calibration, a pattern and a volume; then :meth:`reconstruct` for every pair.
 
-    The result of a pair does not depend on earlier pairs but for the projector's column correction, which the first
-    pair sets (see :meth:`calibrate_columns`), and for the orders that a pair with ``use_prior`` expects; nor on the
-    number of threads. Not for use from two threads at once.
+    The result of a pair does not depend on earlier pairs but for the column correction and the cameras' response, which
+    the first pair with points sets (see :mod:`.column_correction`, :mod:`.camera_response`), and for the orders that a
+    pair with ``use_prior`` expects; nor on the number of threads. Not for use from two threads at once.
 
     Args:
         calibration: of the rig; pattern: what the projector shows; volume: where surfaces may be.
@@ -197,7 +197,7 @@ class Reconstructor:
         maps = self.decoders[0].decode(left), self.decoders[1].decode(right)
         self._maps = maps
         watch.lap("decode")
-        if not self.calibrated:
+        if not self.calibrated and self._has_points(*maps):
             maps = self._calibrate(left, right, maps)
             watch.lap("self_calibration")
         return *maps, self._orders(*maps, watch, use_prior=use_prior)
@@ -227,7 +227,7 @@ class Reconstructor:
         orders = self._orders(left, right, Stopwatch(None), use_prior=False)
         match = self.stage(1).match(left, right, orders, self.correction)
         difference, along, across = column_correction.column_differences(self.left, match, self.correction)
-        if len(difference) >= 1000:
+        if len(difference) >= _LEAST_POINTS:
             limit = self.settings.self_calibration_range + 1.0
             self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
         middle = (float(np.median(along)), float(np.median(across))) if len(along) else (0.0, 0.0)
@@ -235,6 +235,13 @@ class Reconstructor:
         self.clear_prior()
         self.other_shifts = column_correction.other_shifts(offsets, with_margin, self.correction, cost, middle)
         return match
+
+    def _has_points(self, left: PhaseMap, right: PhaseMap) -> bool:
+        """Whether a pair has points enough to calibrate with: an empty scene would give any offset."""
+        match = self.stage(1).match(
+            left, right, self._orders(left, right, Stopwatch(None), use_prior=False), self.correction
+        )
+        return len(column_correction.column_differences(self.left, match, self.correction)[0]) >= _LEAST_POINTS
 
     def _calibrate(
         self, left: NDArray[Any], right: NDArray[Any], maps: tuple[PhaseMap, PhaseMap]

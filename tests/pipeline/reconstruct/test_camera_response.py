@@ -81,8 +81,15 @@ def test_a_restored_state_gives_the_next_cloud_to_the_last_bit() -> None:
     np.testing.assert_array_equal(second.reconstruct(left, right).xyz, first.reconstruct(left, right).xyz)
 
 
-def test_an_object_in_the_dark_shows_no_response() -> None:
-    dark = np.zeros((*LAYOUT.camera_size[::-1], 3), np.uint8)
-    made = reconstructor()
-    made.reconstruct(dark, dark)
-    np.testing.assert_array_equal(made.response, 1)
+def test_an_empty_scene_calibrates_nothing_and_the_first_pair_with_points_does() -> None:
+    left, right, _ = _pair("mixed", lambda counts: counts * GAINS)
+    rng = np.random.default_rng(2)
+    late, first = reconstructor(), reconstructor()
+    for level in (0, 30):  # in the dark, and a grey wall whose noise looks like faint fringes here and there
+        empty = [rng.poisson(level, left.shape).clip(0, 255).astype(np.uint8) for _ in range(2)]
+        late.reconstruct(*empty)
+        assert not late.calibrated
+        np.testing.assert_array_equal(late.response, 1)
+        np.testing.assert_array_equal(late.correction, 0)
+    np.testing.assert_array_equal(late.reconstruct(left, right).xyz, first.reconstruct(left, right).xyz)
+    assert late.calibrated
