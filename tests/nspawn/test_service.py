@@ -126,7 +126,7 @@ def test_a_frozen_process_is_killed_and_restarted(running: Fringed) -> None:
     running.wait_clouds()
 
 
-@pytest.mark.parametrize("thread", ["pipeline", "camera-left"])
+@pytest.mark.parametrize("thread", ["pipeline", pytest.param("camera-left", marks=pytest.mark.long)])
 def test_one_frozen_thread_triggers_the_watchdog(running: Fringed, thread: str) -> None:
     since, before = running.cursor(), running.show()
     with frozen(thread_of(running.pid_outside(before["MainPID"]), thread)):

@@ -33,7 +33,11 @@ class Bench:
         return self.make({**options, **changes})
 
 
-@pytest.fixture(params=producers.ALL, ids=lambda ability: ability.name)
+# Old feature names are tried in test_ours as well.
+PRODUCERS = [pytest.param(one, marks=pytest.mark.long) if one is producers.OURS_OLD else one for one in producers.ALL]
+
+
+@pytest.fixture(params=PRODUCERS, ids=lambda ability: ability.name)
 def bench(request: pytest.FixtureRequest, world: Path, opened: Any) -> Iterator[Bench]:
     ability: Ability = request.param
     with ExitStack() as stack:

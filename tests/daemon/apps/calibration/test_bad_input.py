@@ -126,7 +126,9 @@ def rejected(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: str) 
     return lines[0]
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=pytest.mark.long) if case == "very blurred" else case for case in CASES]
+)
 def test_bad_images_are_rejected(images: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
     spoil, expected = CASES[case]
     spoil(images)
