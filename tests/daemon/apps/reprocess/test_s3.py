@@ -61,7 +61,7 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Failing]:
 
 
 @pytest.mark.parametrize("outage_s", [3, pytest.param(10, marks=pytest.mark.long)])
-def test_three_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
+def test_two_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
     store: Failing, tmp_path: Path, images: list[small_take.Images], outage_s: float
 ) -> None:
     take = write(tmp_path / "a.mcap", images, 12)
@@ -77,7 +77,7 @@ def test_three_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
 
     with (
         cluster.scheduler(tmp_path) as (_, address),
-        cluster.workers(address, 3, tmp_path),
+        cluster.workers(address, 2, tmp_path),
         connected(address) as engine,
     ):
         run = Run(Job(chunk_pairs=2), location("s3://rig/out"), engine, observe=fail_once)
