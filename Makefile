@@ -41,9 +41,11 @@ test: $(DEV)  ## all checks: style, types, layers, tests but the long ones; twel
 	$(MAKE) --no-print-directory --jobs 2 check pytest
 	$(BIN)/python -m pytest -m 'threads and not long' tests/pipeline
 
-# Beside `check`, whose longest part, mypy, has one thread.
+# Beside `check`, whose longest part, mypy, has one thread. Files with slow tests go first (tests/conftest.py), which
+# pytest-xdist would reorder by their numbers of tests.
 pytest: $(DEV)
-	NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadgroup -m 'not long and not threads'
+	NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadgroup --no-loadscope-reorder \
+		-m 'not long and not threads'
 
 test-all: test  ## `make test`, then the long tests (full size, many repeats, virtual machine), each with its time
 	tools/system-packages vm pcl
