@@ -25,6 +25,9 @@ NO_CORRECTION: Correction = np.zeros(3)
 CLEARLY_MORE, PER_COLUMN = 0.025, 0.01
 """How much more an offset costs on average that is clearly worse than another, and how much more each column counts:
 small offsets are more probable."""
+PER_MOVED_COLUMN, MOVED_COLUMNS = 0.05, 0.75
+"""How much more each of the first columns counts in the search, and how many: with a wall behind the volume a wrong
+offset of most of a column may cost less than the right one, and a projector drifts by a fraction of a column."""
 PER_OUTSIDE = 0.05
 """Weight of what the orders beyond the volume save: nothing at the right offset of a scene inside it."""
 _SAME, _FARTHER, _MOST_OTHERS = 0.1, 0.2, 2
@@ -49,8 +52,9 @@ def best_offset(offsets: F64, with_margin: F64, inside: F64) -> float:
     Args:
         offsets: (n,) columns; with_margin, inside: (n,) mean least costs with the margin and without.
     """
-    outside = np.maximum(inside - with_margin, 0.0)
-    return float(offsets[(with_margin + PER_COLUMN * np.abs(offsets) + PER_OUTSIDE * outside).round(6).argmin()])
+    moved, outside = np.abs(offsets), np.maximum(inside - with_margin, 0.0)
+    improbable = PER_COLUMN * moved + PER_MOVED_COLUMN * np.minimum(moved, MOVED_COLUMNS)
+    return float(offsets[(with_margin + improbable + PER_OUTSIDE * outside).round(6).argmin()])
 
 
 def other_shifts(
