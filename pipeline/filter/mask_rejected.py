@@ -13,12 +13,15 @@ _NOWHERE = np.int16(-1)
 
 
 @parallel
-def mask_rejected(i: int, valid: Any, order: Any, stride: int, xyz: Any, sigma: Any, order_out: Any) -> None:
-    """Set rejected points to NaN and copy the orders of the others.
+def mask_rejected(
+    i: int, valid: Any, order: Any, stride: int, near: Any, far: Any, xyz: Any, sigma: Any, order_out: Any
+) -> None:
+    """Set rejected points, and those outside of the volume, to NaN and copy the orders of the others.
 
     Args:
         valid: (h, w) uint8, 1 where a point is certain; order: (h, w) int16.
         stride: pixel (a, b) of those is the cloud's (every a, every b); pixels in between are unknown.
+        near, far: float32, limits of the depth, mm.
         xyz: (H, W, 3), sigma: (H, W), float32, changed; order_out: (H, W) int16, written, -1 where unknown.
     """
     width = sigma.shape[1]
@@ -39,7 +42,9 @@ def mask_rejected(i: int, valid: Any, order: Any, stride: int, xyz: Any, sigma: 
             out[j] = one if here[j] != 0 else _NOWHERE
     for b in range(here.shape[0]):
         m = np.uint32(stride * b)
-        if here[b] == 0:
+        z = xyz[i, m, 2]
+        if here[b] == 0 or z < near or z > far:
             xyz[i, m, 0], xyz[i, m, 1], xyz[i, m, 2], sigma[i, m] = _NAN, _NAN, _NAN, _NAN
+            order_out[i, m] = _NOWHERE
         elif stride != 1:
             order_out[i, m] = orders[b]

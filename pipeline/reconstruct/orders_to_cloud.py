@@ -29,6 +29,7 @@ from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
 
 _TOLERANCE = 0.02
+_SEARCHED = np.float32(-_TOLERANCE), np.float32(1 + _TOLERANCE)
 RejectByOrders = Callable[[NDArray[np.int16], int, NDArray[np.uint16], NDArray[np.int32], NDArray[np.uint8]], None]
 
 
@@ -48,7 +49,7 @@ class CloudStage:
     ) -> None:  # fmt: skip
         self._view, self._stride, self._mosaic = left, stride, mosaic
         least, most = left.depth.range_of(volume, _TOLERANCE)
-        self._limits = np.float32(least), np.float32(most)
+        self._depths = tuple(np.float32(1 / (left.depth.base + s * left.depth.span)) for s in (most, least))
         self._size, self._right_size = calibration.left.size[::-1], calibration.right.size
         rays = calibration.left.rays()[::stride, ::stride].astype(np.float32)
         self._rays_x, self._rays_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
@@ -68,11 +69,13 @@ class CloudStage:
         self._slope = np.float32(self._slopes[0])
 
     def match(
-        self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64], points: Points | None = None
-    ) -> MatchResult:
+        self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64],
+        points: Points | None = None,
+    ) -> MatchResult:  # fmt: skip
         """Match the pixels of this resolution; ``left`` and ``order`` hold only those. Valid until the next call.
 
-        The points themselves go into ``points``, of the full resolution, if that is given.
+        The points themselves go into ``points``, of the full resolution, if that is given. Surfaces outside of the
+        volume are matched too, as far as orders are searched.
         """
         points = points or Points.empty(self._size)
         refine(
@@ -85,7 +88,7 @@ class CloudStage:
         v = self._view
         return MatchModel(
             v.other, *self._right_size, v.projector, v.first_axis, np.float32(v.depth.base), np.float32(v.depth.span),
-            *self._limits, v.phase_to_column, v.column_to_phase, v.linear, correction.astype(np.float32),
+            *_SEARCHED, v.phase_to_column, v.column_to_phase, v.linear, correction.astype(np.float32),
             self._floor_sq, self._correlation, np.float32(1 / self.contrast - 1),
         )  # fmt: skip
 
@@ -145,7 +148,8 @@ class CloudStage:
             self._slopes, self._stride, points.sigma_mm,
         )  # fmt: skip
         kept = np.empty(self._size, np.int16)
-        mask_rejected(len(kept), valid, part_order, self._stride, points.xyz, points.sigma_mm, kept)
+        # Only now: surfaces beyond the volume compete for the pixels of the right camera with false ones inside it.
+        mask_rejected(len(kept), valid, part_order, self._stride, *self._depths, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(
             xyz=points.xyz,
             sigma_mm=points.sigma_mm,
