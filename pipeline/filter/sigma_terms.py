@@ -57,16 +57,18 @@ SATURATED, FEW_SATURATED = 3.0, 0.05
 
 
 def shares_of(
-    match: MatchResult, variance: Any, *, slopes: tuple[float, float], mosaic: bool, saturated: float
-) -> Shares:
+    match: MatchResult, variance: Any, depth: Any, limits: tuple[float, float], *, slopes: tuple[float, float],
+    mosaic: bool, saturated: float,
+) -> Shares:  # fmt: skip
     """Shares of a pair.
 
     Args:
-        variance: (H, W) rad^2, of the left phase; slopes: expected phase steps per pixel (x, y), one of them 0.
+        variance: (H, W) rad^2, of the left phase; depth: (H, W) mm; limits: least and largest depth that counts.
+        slopes: expected phase steps per pixel (x, y), one of them 0.
         saturated: share of the pair's pixels with a saturated sample.
     """
     kind, usual = (MOSAIC, _MOSAIC) if mosaic else (THREE_CHIPS, _THREE_CHIPS)
-    scatter, noise = _scatter(match, variance, slopes)
+    scatter, noise = _scatter(match, variance, depth, limits, slopes)
     # The local means of the normalised phase span a period, over which a texture's change is proportional to it.
     longer = max(2 * np.pi / max(abs(slopes[0]), abs(slopes[1])) / _PERIOD_PX, 1.0)
     return Shares(
@@ -76,14 +78,17 @@ def shares_of(
     )
 
 
-def _scatter(match: MatchResult, variance: Any, slopes: tuple[float, float]) -> tuple[float, float]:
+def _scatter(
+    match: MatchResult, variance: Any, depth: Any, limits: tuple[float, float], slopes: tuple[float, float]
+) -> tuple[float, float]:
     """Variance of the difference of the normalised residuals of pixels half a period apart, and of the phase, rad^2."""
     lag = max(1, round(np.pi / max(abs(slopes[0]), abs(slopes[1]))))
     step = max(1, round((match.valid.size / _SAMPLES) ** 0.5))
     along = (slice(None), slice(lag, None)) if abs(slopes[0]) >= abs(slopes[1]) else (slice(lag, None), slice(None))
     here = tuple(slice(None, -lag) if part.start else part for part in along)
     grid = np.s_[::step, ::step]
-    some = (match.valid[here][grid] != 0) & (match.valid[along][grid] != 0)
+    z = depth[here][grid]
+    some = (match.valid[here][grid] != 0) & (match.valid[along][grid] != 0) & (z >= limits[0]) & (z <= limits[1])
     if np.count_nonzero(some) < _LEAST_SAMPLES:
         return 0.0, 0.0
     ahead, behind = (match.residual_normalised[part][grid][some].astype(np.float32) for part in (along, here))

@@ -134,11 +134,16 @@ def scales_of(scale: Scale) -> NDArray[np.float32]:
     )  # fmt: skip
 
 
-def scale_of(match: MatchResult, left: Any, right: Any) -> Scale:
-    """Scale of the differences in this pair: medians over the matched pixels of a grid."""
+def scale_of(match: MatchResult, left: Any, right: Any, depth: Any, limits: tuple[float, float]) -> Scale:
+    """Scale of the differences in this pair: medians over the matched pixels of a grid.
+
+    Args:
+        left, right: with planes ``mean`` and ``modulation``.
+        depth: (H, W) mm, of the left camera's points; limits: least and largest one that counts.
+    """
     step = max(1, round((match.valid.size / _SAMPLES) ** 0.5))
     part = np.s_[::step, ::step]
-    some = match.valid[part] != 0
+    some = (match.valid[part] != 0) & (depth[part] >= limits[0]) & (depth[part] <= limits[1])
     if np.count_nonzero(some) < _LEAST_SAMPLES:
         return Scale(0.0, 0.02, 0.0, 0.04, 0.0, 0.0)
     x = match.right_u[part][some].astype(np.int32) // PIXEL_STEPS

@@ -134,7 +134,7 @@ class CloudStage:
         if confirm is not None:
             confirm(match)
         watch.lap("refinement")
-        scale = scale_of(match, part, right)
+        scale = scale_of(match, part, right, points.depth_mm(self._stride), self._depths)
         compare(match, part, right, scale, self._agreement)
         if confirm is None:
             self.match_neighbours(part, right, part_order, scale, correction, points)
@@ -142,10 +142,13 @@ class CloudStage:
         by_orders = None if reject_ambiguous is None else partial(reject_ambiguous, part_order, self._stride)
         valid = self._gates.certain(match, points, part.modulation, part.mean, self._agreement, scale, by_orders)
         watch.lap("gates")
+        shares = shares_of(
+            match, part.variance, points.depth_mm(self._stride), self._depths, slopes=self._slopes,
+            mosaic=self._mosaic, saturated=left.saturated,
+        )  # fmt: skip
         widen_sigma(
-            len(valid), self._agreement.misfit, match, part.variance,
-            shares_of(match, part.variance, slopes=self._slopes, mosaic=self._mosaic, saturated=left.saturated),
-            self._slopes, self._stride, points.sigma_mm,
+            len(valid), self._agreement.misfit, match, part.variance, shares, self._slopes, self._stride,
+            points.sigma_mm,
         )  # fmt: skip
         kept = np.empty(self._size, np.int16)
         # Only now: surfaces beyond the volume compete for the pixels of the right camera with false ones inside it.
