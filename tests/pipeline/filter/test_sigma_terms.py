@@ -71,10 +71,14 @@ def _match(normalised: Any, valid: Any = None) -> MatchResult:
     return match
 
 
-def _shares(match: MatchResult, *, noise: float = 1e-5, mosaic: bool = False, saturated: float = 0.0) -> Shares:
+def _shares(
+    match: MatchResult, *, noise: float = 1e-5, mosaic: bool = False, saturated: float = 0.0,
+    depth: Any = 1.0, slopes: tuple[float, float] = SLOPES,
+) -> Shares:  # fmt: skip
+    depth = np.broadcast_to(np.float32(depth), SHAPE)
     return shares_of(
-        match, np.full(SHAPE, noise, np.float32), slopes=SLOPES, mosaic=mosaic, saturated=saturated
-    )  # fmt: skip
+        match, np.full(SHAPE, noise, np.float32), depth, (0.5, 2.0), slopes=slopes, mosaic=mosaic, saturated=saturated
+    )
 
 
 def test_phases_that_follow_the_projector_add_nothing() -> None:
@@ -98,3 +102,14 @@ def test_mosaics_and_saturated_images_err_more() -> None:
     assert _shares(_match(0)) == THREE_CHIPS
     bias = [_shares(_match(0), saturated=share).bias for share in (0.0, 0.01, 0.05, 0.5)]
     assert bias == sorted(bias) and bias[2] == bias[3] == pytest.approx(SATURATED * THREE_CHIPS.bias)
+
+
+def test_surfaces_outside_of_the_volume_and_the_textures_of_wide_fringes_add_nothing() -> None:
+    odd = 0.4 * np.sin(SLOPES[0] * np.arange(SHAPE[1]))[None] / RESIDUAL_STEP + np.zeros(SHAPE)
+    behind = np.where(np.arange(SHAPE[0])[:, None] < SHAPE[0] // 2, 1.0, 3.0)
+    half = np.where(behind > 2, odd, 0)
+    assert _shares(_match(odd)).variance > 0
+    assert _shares(_match(half), depth=behind).variance == 0
+    wide = SLOPES[0] / 6
+    slow = 0.1 * np.sin(wide * np.arange(SHAPE[1]))[None] / RESIDUAL_STEP + np.zeros(SHAPE)
+    assert _shares(_match(slow), slopes=(wide, 0.0)).variance == 0

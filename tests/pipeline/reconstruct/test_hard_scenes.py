@@ -27,6 +27,7 @@ CASES = {case.name: case for case in (*HARD, *CASES_OF_ACCURACY)}
         pytest.param("bright, over-exposed", 0.25, 0.0020, 1.8, marks=pytest.mark.long),
         ("projector in the middle", 0.915, 0.0013, 1.5),
         ("Bayer, realistic", 0.9, 0.0025, 1.5),
+        pytest.param("plaster cast, wide fringes", 0.79, 0.0020, 1.3, marks=pytest.mark.long),
     ],
 )
 @pytest.mark.timeout(300)
@@ -57,6 +58,10 @@ def test_half_size(name: str, least: float, most: float, ratio: float):
         ("Bayer, realistic", 0.949, 0.0010, 1.4),
         ("Bayer, unknown gamma and crosstalk", 0.95, 0.0008, 1.3),
         ("the demo's scene", 0.971, 0.0001, 1.3),
+        ("plaster cast", 0.89, 0.0008, 1.3),
+        ("plaster cast, Bayer", 0.855, 0.0009, 1.3),
+        ("plaster cast, wide fringes", 0.96, 0.0002, 1.3),
+        ("standard, wide fringes", 0.93, 0.0009, 1.3),
     ],
 )
 def test_full_size(name: str, least: float, most: float, ratio: float):
