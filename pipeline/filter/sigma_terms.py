@@ -57,8 +57,8 @@ SATURATED, FEW_SATURATED = 3.0, 0.05
 
 
 def shares_of(
-    match: MatchResult, variance: Any, depth: Any, limits: tuple[float, float], *, slopes: tuple[float, float],
-    mosaic: bool, saturated: float,
+    match: MatchResult, variance: Any, depth: Any, limits: tuple[np.float32, np.float32], *,
+    slopes: tuple[float, float], mosaic: bool, saturated: float,
 ) -> Shares:  # fmt: skip
     """Shares of a pair.
 
@@ -79,7 +79,7 @@ def shares_of(
 
 
 def _scatter(
-    match: MatchResult, variance: Any, depth: Any, limits: tuple[float, float], slopes: tuple[float, float]
+    match: MatchResult, variance: Any, depth: Any, limits: tuple[np.float32, np.float32], slopes: tuple[float, float]
 ) -> tuple[float, float]:
     """Variance of the difference of the normalised residuals of pixels half a period apart, and of the phase, rad^2."""
     lag = max(1, round(np.pi / max(abs(slopes[0]), abs(slopes[1]))))

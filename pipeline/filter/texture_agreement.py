@@ -134,7 +134,7 @@ def scales_of(scale: Scale) -> NDArray[np.float32]:
     )  # fmt: skip
 
 
-def scale_of(match: MatchResult, left: Any, right: Any, depth: Any, limits: tuple[float, float]) -> Scale:
+def scale_of(match: MatchResult, left: Any, right: Any, depth: Any, limits: tuple[np.float32, np.float32]) -> Scale:
     """Scale of the differences in this pair: medians over the matched pixels of a grid.
 
     Args:

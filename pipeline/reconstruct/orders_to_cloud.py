@@ -49,7 +49,8 @@ class CloudStage:
     ) -> None:  # fmt: skip
         self._view, self._stride, self._mosaic = left, stride, mosaic
         least, most = left.depth.range_of(volume, _TOLERANCE)
-        self._depths = tuple(np.float32(1 / (left.depth.base + s * left.depth.span)) for s in (most, least))
+        near, far = (np.float32(1 / (left.depth.base + s * left.depth.span)) for s in (most, least))
+        self._depths = near, far
         self._size, self._right_size = calibration.left.size[::-1], calibration.right.size
         rays = calibration.left.rays()[::stride, ::stride].astype(np.float32)
         self._rays_x, self._rays_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])

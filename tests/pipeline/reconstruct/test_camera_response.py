@@ -85,7 +85,7 @@ def test_an_empty_scene_calibrates_nothing_and_the_first_pair_with_points_does()
     left, right, _ = _pair("mixed", lambda counts: counts * GAINS)
     rng = np.random.default_rng(2)
     late, first = reconstructor(), reconstructor()
-    for level in (0, 30):  # in the dark, and a grey wall whose noise looks like faint fringes here and there
+    for level in (0, 30):  # in the dark, and a grey wall with noise in place of fringes
         empty = [rng.poisson(level, left.shape).clip(0, 255).astype(np.uint8) for _ in range(2)]
         late.reconstruct(*empty)
         assert not late.calibrated
