@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -35,6 +35,7 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
         "session": replay.take.metadata.get("session"),
         "device": replay.take.metadata.get("device"),
         "calibration": replay.calibration_file.identity,
+        **_calibration_sigma(replay.calibration_file.mapping),
         "settings": changed,
         "threads": replay.threads,
         "follow": replay.use_prior,
@@ -50,6 +51,13 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
         "problems": [*problems_of(replay.take, replay.calibration_file), *replay.warnings],
         "per_pair": [dataclasses.asdict(run) for run in runs],
     }
+
+
+def _calibration_sigma(mapping: Mapping[str, Any]) -> dict[str, float]:
+    """Standard deviation of depths from the calibration, mm, where its file has it."""
+    quality = mapping.get("quality")
+    value = quality.get("sigma_calibration_mm") if isinstance(quality, Mapping) else None
+    return {"sigma_calibration_mm": float(value)} if isinstance(value, int | float) else {}
 
 
 def _verdicts(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:

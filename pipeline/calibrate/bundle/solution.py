@@ -83,6 +83,7 @@ class Solution:
         steps: of the last search.
         scale: text on what fixes the scale of the world.
         board_sigma_mm: (n, 3) standard deviations of refined board points.
+        sigma_calibration_mm: standard deviation of measured depths from the cameras' parameters; NaN with one camera.
     """
 
     devices: dict[str, CameraModel]
@@ -109,6 +110,7 @@ class Solution:
     steps: int
     scale: str
     board_sigma_mm: Array | None = None
+    sigma_calibration_mm: float = float("nan")
 
     def quality(self) -> dict[str, float | int]:
         """The figures for the ``quality`` part of a calibration file."""
@@ -116,5 +118,7 @@ class Solution:
         result["rms_stereo_px"] = round(self.rms_stereo, 4)
         if np.isfinite(self.epipolar_px):
             result["epipolar_px"] = round(self.epipolar_px, 4)
+        if np.isfinite(self.sigma_calibration_mm):
+            result["sigma_calibration_mm"] = round(self.sigma_calibration_mm, 4)
         result["views_used"], result["views_rejected"] = self.views_used, self.views_rejected
         return result

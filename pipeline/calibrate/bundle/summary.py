@@ -14,6 +14,7 @@ from pipeline.calibrate.bundle.adjust.parameterisation import names_of
 from pipeline.calibrate.bundle.adjust.state import PER_DEVICE, PER_VIEW
 from pipeline.calibrate.bundle.adjust.uncertainty import derived
 from pipeline.calibrate.bundle.options import Options
+from pipeline.calibrate.bundle.quality.depth_sigma import depth_sigma_mm
 from pipeline.calibrate.bundle.quality.reprojection_error import epipolar_px, rms
 from pipeline.calibrate.bundle.solution import Rejection, Residuals, Solution
 from pipeline.calibrate.targets.board.board import Board
@@ -65,9 +66,10 @@ def summarise(
     models = {name: state.model(k, name, sizes[name]) for k, name in enumerate(devices)}
     count = PER_DEVICE * len(devices)
     values, sigma, covariance = derived(state, devices, adjusted.covariance[:count, :count])
-    epipolar = float("nan")
+    epipolar = sigma_mm = float("nan")
     if list(devices[:2]) == ["left", "right"]:
         epipolar = epipolar_px(models["left"], models["right"], data, adjusted.offsets)
+        sigma_mm = depth_sigma_mm(state, data, adjusted.covariance[:count, :count], [sizes["left"], sizes["right"]])
     cameras = data.device < (2 if "right" in devices else len(devices))
     poses: list[tuple[Array, Array] | None] = [None] * len(views)
     for k, number in enumerate(numbers):
@@ -104,6 +106,7 @@ def summarise(
         offsets_px=float(np.linalg.norm(adjusted.offsets, axis=1).max(initial=0.0)),
         steps=adjusted.fit.steps,
         scale=_scale(board, options),
+        sigma_calibration_mm=sigma_mm,
         board_sigma_mm=np.sqrt(np.maximum(np.diag(tail), 0)).reshape(-1, 3) if len(tail) else None,
     )
 

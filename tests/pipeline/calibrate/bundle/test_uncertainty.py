@@ -5,6 +5,7 @@ import pytest
 
 from pipeline.calibrate.bundle import calibrate
 from pipeline.calibrate.bundle.adjust.uncertainty import noise_floor
+from pipeline.calibrate.bundle.quality.depth_sigma import distances
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
 from pipeline.calibrate.targets.marks import BoardView, Marks
 from tests.pipeline.calibrate.bundle.sessions import session
@@ -74,3 +75,21 @@ def test_the_noise_floor_is_estimated(floor, factor):
     spread = np.hypot(estimate[1] * sigma, estimate[0])
     assert np.abs(np.sqrt((squares / spread**2).sum() / 40_000) - 1) < 1e-6
     assert abs(estimate[0] - floor) < 0.01 * floor + 0.005 and abs(estimate[1] - factor) < 0.02
+
+
+def test_depths_scatter_over_sessions_as_the_calibration_says():
+    """Fixed pixels of both cameras, triangulated with the calibrations of eight sessions."""
+    start, depths, reported = session()[2], [], []
+    grid = np.stack(np.meshgrid(np.linspace(-120, 120, 7), np.linspace(-90, 90, 5), [1300.0, 1400.0]), -1).reshape(
+        -1, 3
+    )
+    pixels = [start[name].project(grid) for name in ("left", "right")]
+    for seed in range(8):
+        views, sizes, _ = session(sigma=0.03, seed=100 + seed)
+        solution = calibrate(DEFAULT_BOARD, views, sizes, start=start)
+        cameras = [solution.devices[name] for name in ("left", "right")]
+        depths.append(distances(cameras, pixels))
+        reported.append(solution.sigma_calibration_mm)
+        assert solution.quality()["sigma_calibration_mm"] == pytest.approx(reported[-1], abs=1e-4)
+    scatter = float(np.sqrt(np.var(depths, axis=0, ddof=1).mean()))
+    assert scatter / np.mean(reported) == pytest.approx(1, abs=0.5)
