@@ -92,11 +92,12 @@ def deviations_of_row(valid: Any, mean: Any, amplitude: Any, right: Any, s: Any,
     zero, two, most = np.float32(0.0), np.float32(2.0), np.float32(_LAST)
     for j in range(valid.shape[0]):
         a, b = np.float32(mean[j]), np.float32(amplitude[j])
-        t = two * (a - right[0, j]) / (a + right[0, j] + _OFFSET) - s[0]
-        m = two * (b - right[1, j]) / (b + right[1, j] + _OFFSET) - s[2]
-        t, m = t * t, m * m
-        z = np.float32(sqrt((t * s[1] + m * s[3]) * np.float32(0.5))) * np.float32(DEVIATION_STEPS)
-        beyond = s[6] * max(t - s[4], zero) + s[7] * max(m - s[5], zero)
+        mean_difference = two * (a - right[0, j]) / (a + right[0, j] + _OFFSET)
+        difference = two * (b - right[1, j]) / (b + right[1, j] + _OFFSET)
+        t, m = mean_difference - s[0], difference - s[2]
+        z = np.float32(sqrt((t * t * s[1] + m * m * s[3]) * np.float32(0.5))) * np.float32(DEVIATION_STEPS)
+        t, m = mean_difference - s[8], difference - s[9]
+        beyond = s[6] * max(t * t - s[4], zero) + s[7] * max(m * m - s[5], zero)
         e = np.float32(sqrt(beyond)) * np.float32(MISFIT_STEPS)
         deviation[j] = np.uint8(min(z, most)) if valid[j] != 0 else NO_MATCH
         misfit[j] = np.uint8(min(e, np.float32(255.0)))
@@ -113,37 +114,47 @@ def _compare(
     deviations_of_row(valid[i], mean[i], amplitude[i], right, scale, deviation[i], misfit[i])
 
 
-def compare(match: MatchResult, left: Any, right: Any, scale: Scale, out: Agreement) -> None:
-    """Compare mean and amplitude at every match; ``left``, ``right`` with planes ``mean`` and ``modulation``."""
+def compare(match: MatchResult, left: Any, right: Any, scale: Scale, inside: Scale, out: Agreement) -> None:
+    """Compare mean and amplitude at every match; ``left``, ``right`` with planes ``mean`` and ``modulation``.
+
+    Args:
+        scale: of all matched pixels, for the deviation: a wall behind the volume shows how little true matches differ,
+            where false ones would set their own scale; inside: of those in the volume, for the misfit.
+    """
     _compare(
         len(match.valid), match.valid, match.right_u, match.right_v, left.mean, left.modulation, right.mean.reshape(-1),
-        right.modulation.reshape(-1), right.mean.shape[1], scales_of(scale), out.deviation, out.misfit,
+        right.modulation.reshape(-1), right.mean.shape[1], scales_of(scale, inside), out.deviation, out.misfit,
     )  # fmt: skip
 
 
-def scales_of(scale: Scale) -> NDArray[np.float32]:
-    """Constants of :func:`deviations_of_row`, (8,)."""
+def scales_of(scale: Scale, inside: Scale) -> NDArray[np.float32]:
+    """Constants of :func:`deviations_of_row`, (10,)."""
     mean_weight, amplitude_weight = 2 * (1 - AMPLITUDE_SHARE), 2 * AMPLITUDE_SHARE
     return np.array(
         [
             scale.mean, mean_weight * scale.mean_sigma**-2.0,
             scale.amplitude, amplitude_weight * scale.amplitude_sigma**-2.0,
-            HINGE * scale.mean_sigma**2, HINGE * scale.amplitude_sigma**2, MEAN_MISFIT, AMPLITUDE_MISFIT,
+            HINGE * inside.mean_sigma**2, HINGE * inside.amplitude_sigma**2, MEAN_MISFIT, AMPLITUDE_MISFIT,
+            inside.mean, inside.amplitude,
         ],
         np.float32,
     )  # fmt: skip
 
 
-def scale_of(match: MatchResult, left: Any, right: Any, depth: Any, limits: tuple[np.float32, np.float32]) -> Scale:
+def scale_of(
+    match: MatchResult, left: Any, right: Any, depth: Any = None, limits: tuple[np.float32, np.float32] | None = None
+) -> Scale:
     """Scale of the differences in this pair: medians over the matched pixels of a grid.
 
     Args:
         left, right: with planes ``mean`` and ``modulation``.
-        depth: (H, W) mm, of the left camera's points; limits: least and largest one that counts.
+        depth: (H, W) mm, of the left camera's points; limits: least and largest one that counts; None: all.
     """
     step = max(1, round((match.valid.size / _SAMPLES) ** 0.5))
     part = np.s_[::step, ::step]
-    some = (match.valid[part] != 0) & (depth[part] >= limits[0]) & (depth[part] <= limits[1])
+    some = match.valid[part] != 0
+    if limits is not None:
+        some &= (depth[part] >= limits[0]) & (depth[part] <= limits[1])
     if np.count_nonzero(some) < _LEAST_SAMPLES:
         return Scale(0.0, 0.02, 0.0, 0.04, 0.0, 0.0)
     x = match.right_u[part][some].astype(np.int32) // PIXEL_STEPS

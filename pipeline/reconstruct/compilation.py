@@ -105,7 +105,7 @@ def _match() -> None:
     points, order = Points.empty((HEIGHT, WIDTH)), np.zeros((HEIGHT, WIDTH), np.int16)
     stage = made.stage(1)
     stage.match(phases, phases, order, made.correction, points)
-    stage.match_neighbours(phases, phases, order, _SCALE, made.correction, points)
+    stage.match_neighbours(phases, phases, order, _SCALE, _SCALE, made.correction, points)
 
 
 def _filter() -> None:

@@ -94,8 +94,8 @@ class CloudStage:
         )  # fmt: skip
 
     def match_neighbours(
-        self, left: PhaseMap, right: PhaseMap, order: Any, scale: Scale, correction: NDArray[np.float64],
-        points: Points,
+        self, left: PhaseMap, right: PhaseMap, order: Any, scale: Scale, inside: Scale,
+        correction: NDArray[np.float64], points: Points,
     ) -> None:  # fmt: skip
         """Match pixels that agree badly or not at all with the orders of surfaces beside them, where that agrees."""
         match_neighbours(
@@ -105,7 +105,7 @@ class CloudStage:
                 left.modulation, left.valid,
             ),
             RightImage(*(p.reshape(-1) for p in (right.phasor, right.variance, right.mean, right.modulation))),
-            self._model(correction), scales_of(scale), self._slope, self._stride, *points, *self._match,
+            self._model(correction), scales_of(scale, inside), self._slope, self._stride, *points, *self._match,
             *self._agreement,
         )  # fmt: skip
 
@@ -135,10 +135,11 @@ class CloudStage:
         if confirm is not None:
             confirm(match)
         watch.lap("refinement")
-        scale = scale_of(match, part, right, points.depth_mm(self._stride), self._depths)
-        compare(match, part, right, scale, self._agreement)
+        scale = scale_of(match, part, right)
+        inside = scale_of(match, part, right, points.depth_mm(self._stride), self._depths)
+        compare(match, part, right, scale, inside, self._agreement)
         if confirm is None:
-            self.match_neighbours(part, right, part_order, scale, correction, points)
+            self.match_neighbours(part, right, part_order, scale, inside, correction, points)
         watch.lap("agreement")
         by_orders = None if reject_ambiguous is None else partial(reject_ambiguous, part_order, self._stride)
         valid = self._gates.certain(match, points, part.modulation, part.mean, self._agreement, scale, by_orders)

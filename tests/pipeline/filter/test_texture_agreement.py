@@ -51,8 +51,8 @@ def _match(valid: Any | None = None) -> MatchResult:
 
 
 def _compared(match: MatchResult, left: Any, right: Any) -> tuple[Agreement, Any]:
-    scale, out = scale_of(match, left, right, np.ones(SHAPE, np.float32), (0.0, 2.0)), Agreement.empty(SHAPE)
-    compare(match, left, right, scale, out)
+    scale, out = scale_of(match, left, right), Agreement.empty(SHAPE)
+    compare(match, left, right, scale, scale_of(match, left, right, np.ones(SHAPE), (0.0, 2.0)), out)
     return out, scale
 
 
