@@ -30,7 +30,7 @@ LIMITS: dict[str, tuple[tuple[float, float], str]] = {
     "column_offset": ((0.012, 0.030), "degrees of the projector"),
     "column_x": ((0.006, 0.010), "degrees of the projector, middle to edge"),
     "column_y": ((0.0025, 0.0050), "degrees of the projector, middle to edge"),
-    "column_scatter": ((0.025, 0.035), "rad of the fringe's phase"),
+    "column_scatter": ((0.025, 0.032), "rad of the fringe's phase"),
     "epipolar": ((0.014, 0.025), "degrees of the right camera"),
     "epipolar_x": ((0.030, 0.050), "degrees of the right camera, middle to edge"),
     "epipolar_y": ((0.020, 0.040), "degrees of the right camera, middle to edge"),

@@ -39,7 +39,7 @@ from pipeline.rig.volume import Volume
 
 _LEAST_MARGIN = 0.3
 """Share of ``uniqueness_ratio`` that is asked of layouts where every surface's orders have small margins."""
-_FITS, _RESPONSE_ROUNDS, _LEAST_POINTS = 2, 3, 1000
+_RESPONSE_ROUNDS, _LEAST_POINTS = 3, 1000
 _DISTINCT = 0.5
 """Weight of the projector's phase from which a surface with many ambiguous parts is rejected entirely: in such layouts
 only wrong orders have them."""
@@ -224,13 +224,12 @@ class Reconstructor:
         self.correction = np.array([column_correction.best_offset(offsets, with_margin, within), 0.0, 0.0])
         self.calibrated = True
         self.clear_prior()
-        for _ in range(_FITS):
-            orders = self._orders(left, right, Stopwatch(None), use_prior=False)
-            match = self.stage(1).match(left, right, orders, self.correction)
-            difference, along, across = column_correction.column_differences(self.left, match, self.correction)
-            if len(difference) >= _LEAST_POINTS:
-                limit = self.settings.self_calibration_range + 1.0
-                self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
+        orders = self._orders(left, right, Stopwatch(None), use_prior=False)
+        match = self.stage(1).match(left, right, orders, self.correction)
+        difference, along, across = column_correction.column_differences(self.left, match, self.correction)
+        if len(difference) >= _LEAST_POINTS:
+            limit = self.settings.self_calibration_range + 1.0
+            self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
         middle = (float(np.median(along)), float(np.median(across))) if len(along) else (0.0, 0.0)
         cost = mean_cost(self.searches[0], self.correction)
         self.clear_prior()
