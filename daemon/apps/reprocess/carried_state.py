@@ -1,7 +1,8 @@
 """What runs from one item of a recording to the next, as plain values that travel between processes.
 
-In the mode single and in sets it is the projector's column correction and the column scan of the first pair; the sets
-themselves are made by the plan, and neither a temporal prior nor an average of clouds crosses the border of a chunk.
+In the mode single and in sets it is the projector's column correction, the cameras' response and the column scan of the
+first pair with points; the sets themselves are made by the plan, and neither a temporal prior nor an average of clouds
+crosses the border of a chunk.
 """
 
 from __future__ import annotations
