@@ -123,8 +123,8 @@ def test_measuring_in_other_units_gives_the_same_shape(pair, cloud):
     # may also decide whether a pixel at a border is matched a third time. At borders sigma follows small differences
     # of depth. The surface's inclination is taken from places in the right image in eighths of a pixel.
     changes = np.abs(big.sigma_mm[both] / 2.5 / cloud.sigma_mm[both] - 1)
-    assert np.quantile(changes, 0.999) < 5e-3
-    assert np.mean(changes > 0.05) < 1e-4
+    assert np.quantile(changes, 0.999) < 1e-2
+    assert np.mean(changes > 0.05) < 5e-4
 
 
 def test_swapping_the_cameras_measures_the_same_surface(pair, cloud):
