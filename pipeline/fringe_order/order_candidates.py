@@ -176,15 +176,16 @@ def candidate_costs(
 
 
 @parallel
-def order_limits(a: int, along: Any, limits: Any, phases: Any, correction: Any, rays: Any) -> None:
+def order_limits(k: int, stride: int, along: Any, limits: Any, phases: Any, correction: Any, rays: Any) -> None:
     """The last two numbers of ``rays`` (h, w, RAY) float32, from each ray's range of s; the second < the first: none.
 
     Args:
+        k: number of a row, stride: its distance to the next one.
         along, limits: of :class:`pipeline.geometry.ray_tables.RayTable`.
         phases: absolute phase at each projector coordinate; correction: see
             :mod:`pipeline.reconstruct.column_correction`.
     """
-    last = phases.shape[0] - 1
+    last, a = phases.shape[0] - 1, k * stride
     for b in range(rays.shape[1]):
         ends = np.empty(2)
         for e in range(2):

@@ -117,7 +117,7 @@ class _Lattice:
         self.costs, self._total = (np.zeros((h, w * view.labels), np.float32) for _ in range(2))
         self.first, self.count = np.zeros((h, w), np.int32), np.zeros((h, w), np.int32)
         self._jump, self._weight = np.empty((h, w), np.int32), np.empty((h, w), np.float32)
-        self._correction: F64 | None = None
+        self._limited: tuple[F64, int] | None = None
         self.order, self.confident = np.empty((h, w), np.int16), np.empty((h, w), np.uint8)
         self.expected = np.full((h, w), np.nan, np.float32)
         self.certain = np.full((h, w), semi_global_aggregation.NONE, np.int16)
@@ -125,7 +125,7 @@ class _Lattice:
     def search_rows(self, reference: PhaseMap, other: PhaseMap, correction: F64, refresh: int, stride: int) -> None:
         """Compute the candidates' costs at the pixels that are not certain, and aggregate along the rows."""
         view, table, s = self._view, self.table, self._view.settings
-        single = self._limit_orders(correction)
+        single = self._limit_orders(correction, stride)
         strip_search.search_rows(
             blocks(table.shape[0], strip_search.STRIP), table.top, table.down, table.left, table.step, stride,
             self._rays, reference.phase, reference.descriptors, reference.valid, other.descriptors,
@@ -135,14 +135,16 @@ class _Lattice:
             self._total, self.first, self.count,
         )  # fmt: skip
 
-    def _limit_orders(self, correction: F64) -> F32:
-        """Bring the rays' limits up to date with the correction, which is returned in single precision."""
+    def _limit_orders(self, correction: F64, stride: int) -> F32:
+        """Bring the limits of every n-th row up to date with the correction, which is returned in single precision."""
         view, table, single = self._view, self.table, correction.astype(np.float32)
-        if self._correction is None or not np.array_equal(correction, self._correction):
+        known = self._limited is not None and np.array_equal(correction, self._limited[0])
+        if self._limited is None or not known or stride % self._limited[1]:
             order_candidates.order_limits(
-                len(self._rays), table.along, table.limits, view.column_to_phase, single, self._rays
-            )
-            self._correction = correction.copy()
+                blocks(len(self._rays), stride), stride, table.along, table.limits, view.column_to_phase, single,
+                self._rays,
+            )  # fmt: skip
+            self._limited = correction.copy(), stride
         return single
 
     def margins(
@@ -156,7 +158,7 @@ class _Lattice:
         nodes, group = groups.sampled(*(np.where(x % stride == 0, x // stride, -1) for x in (rows, columns)))
         i, j = rows[nodes // w], columns[nodes % w]
         first, count = np.empty(h * w, np.int32), np.empty(h * w, np.int32)
-        single = self._limit_orders(correction)
+        single = self._limit_orders(correction, 1)
 
         def costs_of(shift: float) -> F32:
             shifted, costs = single.copy(), np.empty((len(nodes), view.labels), np.float32)

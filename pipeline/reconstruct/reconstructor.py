@@ -283,7 +283,7 @@ class Reconstructor:
         """
         left, right = left or self._maps[0], right or self._maps[1]
         period = self.pattern.length / self.pattern.periods
-        offsets = column_correction.offsets_to_try(period / 2, step=0.5)
+        offsets = column_correction.offsets_to_try(period / 2)
         costs = [
             self.searches[0].least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=16) for offset in offsets
         ]

@@ -112,6 +112,17 @@ def test_nothing_is_published_when_a_device_has_turned(side: str, axis: tuple, d
     assert re.search(cause, found.cause), found.cause
 
 
+def test_the_scan_finds_an_offset_between_two_half_columns():
+    """The cost is low within a fraction of a column only: a scan in steps of half a column reads 0.47 here."""
+    images = pair("mixed")
+    displaced = reconstructor(turned(LAYOUT.calibration_for(STANDARD), "projector", YAW, 0.035), "warn")
+    displaced.reconstruct(images.left, images.right)
+    expected = np.radians(0.035) * LAYOUT.calibration().projector.matrix[0, 0]
+    scan = displaced.inner.scan
+    assert abs(scan.offset_px) == pytest.approx(expected, abs=0.15)
+    assert scan.relative_cost < 0.2
+
+
 def test_two_readings_count_together_only_where_both_are_certain_and_agree():
     one, two = Reading(0.040, 0.006), Reading(0.046, 0.002)
     mean = together(one, two)
