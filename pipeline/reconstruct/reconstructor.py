@@ -25,10 +25,9 @@ from pipeline.fringe_order.order_margins import Limits
 from pipeline.fringe_order.order_propagation import propagate
 from pipeline.fringe_order.order_search import OrderSearch
 from pipeline.geometry.ray_tables import DepthScale
-from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import MatchResult
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct import camera_response, column_correction
+from pipeline.reconstruct import camera_response, column_correction, first_pair
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.column_correction import CorrectionState
 from pipeline.reconstruct.consistency import ColumnScan
@@ -39,7 +38,6 @@ from pipeline.rig.volume import Volume
 
 _LEAST_MARGIN = 0.3
 """Share of ``uniqueness_ratio`` that is asked of layouts where every surface's orders have small margins."""
-_RESPONSE_ROUNDS, _LEAST_POINTS = 3, 1000
 _DISTINCT = 0.5
 """Weight of the projector's phase from which a surface with many ambiguous parts is rejected entirely: in such layouts
 only wrong orders have them."""
@@ -49,7 +47,7 @@ class Reconstructor:
     """Built once for a calibration, a pattern and a volume; then :meth:`reconstruct` for every pair.
 
     The result of a pair does not depend on earlier pairs but for the column correction and the cameras' response, which
-    the first pair with points sets (see :mod:`.column_correction`, :mod:`.camera_response`), and for the orders that a
+    the first pair with points sets (see :mod:`.first_pair`), and for the orders that a
     pair with ``use_prior`` expects; nor on the number of threads. Not for use from two threads at once.
 
     Args:
@@ -125,10 +123,11 @@ class Reconstructor:
         """Return to a state that :meth:`state` returned, without a prior."""
         values, self.calibrated = kept
         self.correction = values[:3].copy()
-        self._set_response(values[3:].copy())
+        self.set_response(values[3:].copy())
         self.clear_prior()
 
-    def _set_response(self, response: NDArray[np.float64]) -> None:
+    def set_response(self, response: NDArray[np.float64]) -> None:
+        """Set gains and contrast (4,) of the right camera, see :mod:`.camera_response`."""
         changed = not np.array_equal(response[:3], self.response[:3])
         self.response = response
         if changed:
@@ -195,11 +194,11 @@ class Reconstructor:
         if not use_prior:
             self.clear_prior()
         maps = self.decoders[0].decode(left), self.decoders[1].decode(right)
-        self._maps = maps
         watch.lap("decode")
-        if not self.calibrated and self._has_points(*maps):
-            maps = self._calibrate(left, right, maps)
+        if not self.calibrated and first_pair.has_points(self, *maps):
+            maps = first_pair.calibrate(self, left, right, maps)
             watch.lap("self_calibration")
+        self._maps = maps
         return *maps, self._orders(*maps, watch, use_prior=use_prior)
 
     def clear_prior(self) -> None:
@@ -207,88 +206,14 @@ class Reconstructor:
         for side in self.searches:
             side.clear_prior()
 
-    def calibrate_columns(self, left: PhaseMap, right: PhaseMap) -> MatchResult:
-        """Find the projector's column correction from a pair and keep it; returns the match, valid until the next."""
-        self.scan = self.scan_columns(left, right)
-        inside = View.of(self.calibration, self.pattern, self.volume, self.settings)
-        offsets = column_correction.offsets_to_try(self.settings.self_calibration_range)
+    def scan_columns(self) -> ColumnScan | None:
+        """Cost of the order search over column offsets of half a period to both sides, of the last pair's phases."""
+        return first_pair.scan_columns(self, *self._maps)
 
-        def mean_cost(search: OrderSearch, correction: column_correction.Correction) -> float:
-            costs = search.least_costs(left, right, correction, stride=8)
-            return float(costs.mean(dtype=np.float64)) if len(costs) else 0.0
-
-        with_margin, within = (
-            np.array([mean_cost(search, np.array([offset, 0.0, 0.0])) for offset in offsets])
-            for search in (self.searches[0], OrderSearch(inside))
-        )
-        self.correction = np.array([column_correction.best_offset(offsets, with_margin, within), 0.0, 0.0])
-        self.calibrated = True
-        self.clear_prior()
+    def match(self, left: PhaseMap, right: PhaseMap) -> MatchResult:
+        """The match of every left pixel by a search without a prior; valid until the next call."""
         orders = self._orders(left, right, Stopwatch(None), use_prior=False)
-        match = self.stage(1).match(left, right, orders, self.correction)
-        difference, along, across = column_correction.column_differences(self.left, match, self.correction)
-        if len(difference) >= _LEAST_POINTS:
-            limit = self.settings.self_calibration_range + 1.0
-            self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
-        middle = (float(np.median(along)), float(np.median(across))) if len(along) else (0.0, 0.0)
-        cost = mean_cost(self.searches[0], self.correction)
-        self.clear_prior()
-        self.other_shifts = column_correction.other_shifts(offsets, with_margin, self.correction, cost, middle)
-        return match
-
-    def _has_points(self, left: PhaseMap, right: PhaseMap) -> bool:
-        """Whether a pair has points enough to calibrate with: an empty scene would give any offset."""
-        match = self.stage(1).match(
-            left, right, self._orders(left, right, Stopwatch(None), use_prior=False), self.correction
-        )
-        return len(column_correction.column_differences(self.left, match, self.correction)[0]) >= _LEAST_POINTS
-
-    def _calibrate(
-        self, left: NDArray[Any], right: NDArray[Any], maps: tuple[PhaseMap, PhaseMap]
-    ) -> tuple[PhaseMap, PhaseMap]:
-        """Measure column correction and response from a pair of raw images; returns its phases after that."""
-        match = self.calibrate_columns(*maps)
-        color, other = self.decoders[0].color(left), self.decoders[1].color(right)
-        gains = camera_response.gains_of_images(color, other, maps[0].valid, maps[1].valid)
-        if (gains != 1).any():
-            maps = self._with_gains(gains, right, maps[0])
-            match = self.calibrate_columns(*maps)
-        for _ in range(_RESPONSE_ROUNDS):
-            equal = (self.response == 1).all()
-            least = camera_response.UNEQUAL if equal else camera_response.CORRECTED
-            gains = camera_response.gains_of_points(color, self.decoders[1].color(right), match, least)
-            if (gains == 1).all():
-                break
-            maps = self._with_gains(gains, right, maps[0])
-            orders = self._orders(*maps, Stopwatch(None), use_prior=False)
-            match = self.stage(1).match(*maps, orders, self.correction)
-        contrast = camera_response.contrast_of_points(*maps, match, self.left.first_axis)
-        self._set_response(np.append(self.response[:3], contrast))
-        self.clear_prior()
-        self._maps = maps
-        return maps
-
-    def _with_gains(
-        self, gains: NDArray[np.float64], right: NDArray[Any], left_map: PhaseMap
-    ) -> tuple[PhaseMap, PhaseMap]:
-        """Phases of a pair after the right camera's gains were multiplied."""
-        self._set_response(np.append(self.response[:3] * gains, self.response[3]))
-        return left_map, self.decoders[1].decode(right)
-
-    def scan_columns(self, left: PhaseMap | None = None, right: PhaseMap | None = None) -> ColumnScan | None:
-        """Cost of the order search over column offsets of half a period to both sides; None without fringes.
-
-        Args:
-            left, right: phases of a pair; those of the last pair if they are not given.
-        """
-        left, right = left or self._maps[0], right or self._maps[1]
-        period = self.pattern.length / self.pattern.periods
-        offsets = column_correction.offsets_to_try(period / 2)
-        costs = [
-            self.searches[0].least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=16) for offset in offsets
-        ]
-        self.clear_prior()
-        return ColumnScan.of(offsets, costs, self.settings.self_calibration_range)
+        return self.stage(1).match(left, right, orders, self.correction)
 
     def _orders(self, left: PhaseMap, right: PhaseMap, watch: Stopwatch, *, use_prior: bool) -> NDArray[np.int16]:
         """Fringe order of every left pixel, (H, W), valid until the next call."""

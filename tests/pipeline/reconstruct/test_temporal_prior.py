@@ -6,6 +6,7 @@ import functools
 import numpy as np
 import pytest
 
+from pipeline.reconstruct import first_pair
 from sim.evaluate.score import score
 from tests.pipeline.small import SETTINGS, images, pair, reconstructor, same, upright
 
@@ -117,7 +118,7 @@ def gap(found):
 
 def recalibration(found):
     maps = [decoder.decode(image) for decoder, image in zip(found.decoders, images(pair("moving")), strict=True)]
-    found.calibrate_columns(*maps)
+    first_pair.calibrate_columns(found, *maps)
 
 
 @pytest.mark.parametrize(

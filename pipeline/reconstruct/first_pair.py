@@ -1,0 +1,131 @@
+"""What the first pair with points sets once: the projector's column correction and the response of the right camera.
+
+See :mod:`pipeline.reconstruct.column_correction` and :mod:`pipeline.reconstruct.camera_response` for the two models.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.common.settings import Settings
+from pipeline.decode.decoder import Decoder, PhaseMap
+from pipeline.fringe_order.order_search import OrderSearch
+from pipeline.geometry.view_tables import View
+from pipeline.match.match_result import MatchResult
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct import camera_response, column_correction
+from pipeline.reconstruct.column_correction import Correction
+from pipeline.reconstruct.consistency import ColumnScan
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
+
+_RESPONSE_ROUNDS, _LEAST_POINTS = 3, 1000
+_STRIDE, _SCAN_STRIDE = 8, 16
+"""Distance of the lattice rows whose costs are averaged, of the search and of the scan."""
+
+
+class Calibrating(Protocol):
+    """The reconstructor, as far as its first pair uses and changes it."""
+
+    calibration: Calibration
+    pattern: ColorFringe
+    volume: Volume
+    settings: Settings
+    left: View
+    searches: tuple[OrderSearch, OrderSearch]
+    decoders: list[Decoder]
+    correction: Correction
+    response: NDArray[np.float64]
+    calibrated: bool
+    other_shifts: NDArray[np.float64]
+    scan: ColumnScan | None
+
+    def match(self, left: PhaseMap, right: PhaseMap, /) -> MatchResult:
+        """The match of every left pixel, valid until the next call."""
+
+    def set_response(self, response: NDArray[np.float64], /) -> None:
+        """Set gains and contrast (4,) of the right camera."""
+
+    def clear_prior(self) -> None:
+        """Search the next pair in full."""
+
+
+def has_points(made: Calibrating, left: PhaseMap, right: PhaseMap) -> bool:
+    """Whether a pair has points enough to calibrate with: an empty scene would give any offset."""
+    match = made.match(left, right)
+    return len(column_correction.column_differences(made.left, match, made.correction)[0]) >= _LEAST_POINTS
+
+
+def calibrate(
+    made: Calibrating, left: NDArray[Any], right: NDArray[Any], maps: tuple[PhaseMap, PhaseMap]
+) -> tuple[PhaseMap, PhaseMap]:
+    """Measure column correction and response from a pair of raw images; returns its phases after that."""
+    match = calibrate_columns(made, *maps)
+    color, other = made.decoders[0].color(left), made.decoders[1].color(right)
+    gains = camera_response.gains_of_images(color, other, maps[0].valid, maps[1].valid)
+    if (gains != 1).any():
+        maps = _with_gains(made, gains, right, maps[0])
+        match = calibrate_columns(made, *maps)
+    for _ in range(_RESPONSE_ROUNDS):
+        equal = (made.response == 1).all()
+        least = camera_response.UNEQUAL if equal else camera_response.CORRECTED
+        gains = camera_response.gains_of_points(color, made.decoders[1].color(right), match, least)
+        if (gains == 1).all():
+            break
+        maps = _with_gains(made, gains, right, maps[0])
+        match = made.match(*maps)
+    contrast = camera_response.contrast_of_points(*maps, match, made.left.first_axis)
+    made.set_response(np.append(made.response[:3], contrast))
+    made.clear_prior()
+    return maps
+
+
+def scan_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> ColumnScan | None:
+    """Cost of the order search over column offsets of half a period to both sides; None without fringes."""
+    offsets = column_correction.offsets_to_try(made.pattern.length / made.pattern.periods / 2)
+    costs = [
+        made.searches[0].least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=_SCAN_STRIDE)
+        for offset in offsets
+    ]
+    made.clear_prior()
+    return ColumnScan.of(offsets, costs, made.settings.self_calibration_range)
+
+
+def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> MatchResult:
+    """Find the projector's column correction from a pair and keep it; returns the match, valid until the next."""
+    made.scan = scan_columns(made, left, right)
+    inside = View.of(made.calibration, made.pattern, made.volume, made.settings)
+    offsets = column_correction.offsets_to_try(made.settings.self_calibration_range)
+
+    def mean_cost(search: OrderSearch, correction: Correction) -> float:
+        costs = search.least_costs(left, right, correction, stride=_STRIDE)
+        return float(costs.mean(dtype=np.float64)) if len(costs) else 0.0
+
+    with_margin, within = (
+        np.array([mean_cost(search, np.array([offset, 0.0, 0.0])) for offset in offsets])
+        for search in (made.searches[0], OrderSearch(inside))
+    )
+    made.correction = np.array([column_correction.best_offset(offsets, with_margin, within), 0.0, 0.0])
+    made.calibrated = True
+    made.clear_prior()
+    match = made.match(left, right)
+    difference, along, across = column_correction.column_differences(made.left, match, made.correction)
+    if len(difference) >= _LEAST_POINTS:
+        limit = made.settings.self_calibration_range + 1.0
+        made.correction = column_correction.affine_fit(along, across, difference, limit=limit)
+    middle = (float(np.median(along)), float(np.median(across))) if len(along) else (0.0, 0.0)
+    cost = mean_cost(made.searches[0], made.correction)
+    made.clear_prior()
+    made.other_shifts = column_correction.other_shifts(offsets, with_margin, made.correction, cost, middle)
+    return match
+
+
+def _with_gains(
+    made: Calibrating, gains: NDArray[np.float64], right: NDArray[Any], left_map: PhaseMap
+) -> tuple[PhaseMap, PhaseMap]:
+    """Phases of a pair after the right camera's gains were multiplied."""
+    made.set_response(np.append(made.response[:3] * gains, made.response[3]))
+    return left_map, made.decoders[1].decode(right)
