@@ -72,6 +72,13 @@ class PhaseMap:
             planes[name] = np.ascontiguousarray(plane[::stride, ::stride])
         return replace(self, **planes)
 
+    def displaced(self, pixels: int, axis: int) -> PhaseMap:
+        """With the descriptors of the pixels that are so much farther along an axis, 0 beyond the border."""
+        descriptors = np.roll(self.descriptors, -pixels, axis)
+        beyond = slice(-pixels, None) if pixels > 0 else slice(0, -pixels)
+        np.moveaxis(descriptors, axis, 0)[beyond] = 0
+        return replace(self, descriptors=descriptors)
+
 
 class Decoder:
     """Decoding of a camera's images, with what can be computed once for all of them.

@@ -33,8 +33,6 @@ _LARGE_STEP = 4
 FALSE_SHARE, BLIND_SHARE = 0.3, 0.12
 """Share between both means at which the loss of a surface is no evidence: false ones agree in part, by chance and by
 the search for the best order; the second where the projector's phase does not help."""
-LARGEST_LOSS, RELIABLE = 0.18, 8
-"""Share of its points that a small surface may lose at its border; times the smallest size, that of a large one."""
 LEAST_RATIO = -1.0
 """Logarithm of the likelihood ratio below which a surface is rejected."""
 
@@ -65,19 +63,6 @@ def _sums(
             total[0, part, k] += squares
             total[1, part, k] += loss
             total[2, part, k] += pixels
-
-
-@parallel
-def _count(part: int, valid: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, total: Any) -> None:
-    """Valid pixels of surfaces, (PARTS, surfaces) int64."""
-    height = valid.shape[0]
-    parts = total.shape[0]
-    for i in range(part * height // parts, (part + 1) * height // parts):
-        for t in range(count[0, i]):
-            k = surface[row[i] + t]
-            if k >= 0:
-                for j in range(start[i, t], stop[i, t]):
-                    total[part, k] += valid[i, j]
 
 
 @parallel
@@ -114,22 +99,6 @@ def component_test(
     rms = RESIDUAL_STEP * np.sqrt(squares / n)
     ratio = log_likelihood_ratio(n, loss / n / _LOSS_STEPS, rms, scale, phase_weight)
     rejected = (rms > largest_rms) | ((f.sizes < large) & (ratio < LEAST_RATIO))
-    reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
-
-
-def reject_eroded(valid: NDArray[np.uint8], surfaces: Surfaces, smallest: int) -> None:
-    """Reject small surfaces of which the border test left too little; ``valid`` is changed.
-
-    False surfaces have probably wrong points all along their borders.
-
-    Args:
-        smallest: pixels of the smallest connected surface.
-    """
-    f = surfaces
-    total = np.zeros((PARTS, len(f.sizes)), np.int64)
-    _count(PARTS, valid, f.start, f.stop, f.count, f.first, f.surface, total)
-    remaining = total.sum(axis=0)
-    rejected = (f.sizes < RELIABLE * smallest) & (remaining < (1 - LARGEST_LOSS) * f.sizes)
     reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
 
 

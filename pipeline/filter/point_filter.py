@@ -14,10 +14,11 @@ from pipeline.filter import connected_components
 from pipeline.filter.border_model import MODEL
 from pipeline.filter.border_test import ROWS as BORDER_ROWS
 from pipeline.filter.border_test import Planes, border_test, largest_odds
-from pipeline.filter.component_test import component_test, reject_eroded
+from pipeline.filter.component_test import component_test
 from pipeline.filter.connected_components import Surfaces
 from pipeline.filter.local_outliers import MOST_MEAN, ROWS, drop_mixed_edges, local_outliers, usual_mean
 from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
+from pipeline.filter.small_surfaces import reject_contradicted, reject_eroded, reject_narrow
 from pipeline.filter.surface_edges import edge_test
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
 from pipeline.filter.uniqueness import Uniqueness
@@ -70,7 +71,8 @@ class Gates:
         self._slopes = round(slopes[0] / (2 * np.pi) * TURN_STEPS), round(slopes[1] / (2 * np.pi) * TURN_STEPS)
         self._base, self._span = np.float32(depth.base), np.float32(depth.span)
         self._tolerance = int(order_step / 4 * PARAMETER_STEPS)
-        self._valid, self._link = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
+        self._valid, self._before, self._link = (np.empty(shape, np.uint8) for _ in range(3))
+        self._large = max(20 * self._smallest, int(LARGE_SHARE * self._valid.size))
         self._label = np.empty(shape, np.uint16)
         self._surfaces = Surfaces(shape)
         self._unique = Uniqueness(shape, (right, projector))
@@ -105,6 +107,7 @@ class Gates:
         surfaces.paint(label)
         drop_mixed_edges(bands, label, modulation, np.float32(s.edge_threshold), valid)
         self._test_components(match, agreement, scale)
+        np.copyto(self._before, valid)
         edge_test(
             len(label), label, agreement.deviation, _LOSS, HIGH, np.float32(EDGE_LOSS), np.float32(LOSS_PER_NEIGHBOUR),
             MISFIT_OF, agreement.misfit, valid,
@@ -118,6 +121,7 @@ class Gates:
                 valid, label, surfaces.sizes, u, v, depth_mm, device, values, tolerance, 4 * self._smallest
             )
         surfaces.find(valid, self._link, self._smallest)
+        reject_contradicted(self._before, valid, label, surfaces, self._large, self._stride)
         self._test_components(match, agreement, scale)
         surfaces.paint(label)
         if reject_ambiguous is not None:
@@ -131,12 +135,13 @@ class Gates:
             self._largest_odds, valid, agreement.misfit, points.sigma_mm,
         )  # fmt: skip
         reject_eroded(valid, surfaces, self._smallest)
+        surfaces.find(valid, self._link, self._smallest)
+        reject_narrow(valid, surfaces, self._smallest, self._stride)
         return valid
 
     def _test_components(self, match: MatchResult, agreement: Agreement, scale: Scale) -> None:
-        large = max(20 * self._smallest, int(LARGE_SHARE * self._valid.size))
         component_test(
-            self._valid, match, agreement.deviation, self._surfaces, large, scale,
+            self._valid, match, agreement.deviation, self._surfaces, self._large, scale,
             self._settings.cluster_phase_threshold,
             self._phase_weight,
         )  # fmt: skip

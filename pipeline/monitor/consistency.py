@@ -3,10 +3,10 @@
 A left pixel, its match in the right image and the projector column that lights the point determine two unknowns three
 times over (see :mod:`pipeline.monitor`). Patches of the surface give the residual of the projector column: its mean,
 its slopes along both axes of the image and its scatter. Fringe slopes and texture give the displacement across the
-epipolar lines and its change over the image. The order search gives its cost as a function of a column offset. For a
-rig that is as calibrated all of these are small against fixed limits that follow from the angles a device can turn
-before points become wrong; the limits are in projector and camera pixels of the standard rig and scale with the focal
-lengths.
+epipolar lines and its change over the image. The order search gives its cost as a function of a column offset, and of a
+displacement of the right image. For a rig that is as calibrated all of these are small against fixed limits that follow
+from the angles a device can turn before points become wrong; the limits are in projector and camera pixels of the
+standard rig and scale with the focal lengths.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ LIMITS: dict[str, tuple[tuple[float, float], str]] = {
     "right_roll": ((0.020, 0.033), "degrees"),
     "order_cost": ((0.50, 0.60), "of the cost of unrelated phases"),
     "scanned_offset": ((np.inf, 0.0), "degrees of the projector"),
+    "scanned_epipolar": ((np.inf, 0.0), "degrees of the right camera"),
 }
 """Limit of ``doubtful``, limit of ``inconsistent``, unit."""
 SIGMAS = 4.0
@@ -98,7 +99,7 @@ class ConsistencyCheck:
         }
         scatter = scale_of(residual - design @ value) * self._phase
         out["column_scatter"] = Reading(scatter, scatter / float(np.sqrt(2 * len(patches))))
-        across = [(value[3], sigma[3])]
+        across = [(value[3], float(np.hypot(sigma[3], _PHASE_BIAS / self._phase / _independent(design, 3))))]
         use = patches.textured
         if np.count_nonzero(use) >= _LEAST_PATCHES:
             x, y = sensitivity.in_image(self.calibration, patches.shape[use, :3])
@@ -144,6 +145,8 @@ class ConsistencyCheck:
         out = {"order_cost": Reading(scan.relative_cost, 0.0)}
         if scan.offset_px != scan.allowed_px and scan.cost < _CLEARLY_LESS * scan.allowed_cost:
             out["scanned_offset"] = Reading(scan.offset_px * self._projector_deg, 0.0)
+        if scan.across_px:
+            out["scanned_epipolar"] = Reading(scan.across_px * self._camera_deg, 0.0)
         return out
 
     def _cause(self, readings: dict[str, Reading]) -> str:
@@ -156,8 +159,9 @@ class ConsistencyCheck:
                     f"the right camera is turned about its vertical axis by {camera:.2f} degrees, or the projector by "
                     f"{beyond[name]:.2f} degrees: one pair does not separate them"
                 )
-        if "epipolar" in beyond:
-            return f"a camera is turned about its horizontal axis by {beyond['epipolar']:.2f} degrees"
+        for name in ("scanned_epipolar", "epipolar"):
+            if name in beyond:
+                return f"a camera is turned about its horizontal axis by {beyond[name]:.2f} degrees"
         for side in ("right", "left"):
             if f"{side}_roll" in beyond:
                 angle = beyond[f"{side}_roll"]
@@ -182,6 +186,16 @@ class ConsistencyCheck:
 
 
 _SURFACE_PX = 0.02  # what slopes and textures alone make of the epipolar displacement
+_PHASE_BIAS = 0.003
+"""Radians by which phases of patches may be wrong alike: a fringe window on edges and curved surfaces. Where fringes
+have little slope across the epipolar lines, this alone is a displacement of several pixels."""
+
+
+def _independent(design: NDArray[np.float64], column: int) -> float:
+    """Rms of a column of (n, k) regressors, as far as the others do not explain it."""
+    others = np.delete(design, column, axis=1)
+    own = design[:, column] - others @ np.linalg.lstsq(others, design[:, column], rcond=None)[0]
+    return float(np.sqrt(np.mean(own * own))) + 1e-12
 
 
 def judged(readings: dict[str, Reading], cause: str = "") -> Consistency:

@@ -30,6 +30,11 @@ PER_MOVED_COLUMN, MOVED_COLUMNS = 0.05, 0.75
 offset of most of a column may cost less than the right one, and a projector drifts by a fraction of a column."""
 PER_OUTSIDE = 0.05
 """Weight of what the orders beyond the volume save: nothing at the right offset of a scene inside it."""
+RIVAL, _MOST_RIVALS = 0.15, 4
+"""How much more improbable than the best one an offset may be, in units of the mean cost, if textures are to decide;
+how many offsets are compared."""
+PER_TEXTURE = 0.1
+"""What a texture difference e times as large counts in units of the mean cost."""
 _SAME, _FARTHER, _MOST_OTHERS = 0.1, 0.2, 2
 """Distance up to which offsets are alike, columns; how much farther from 0 another one may be, as projectors drift
 little; how many others are compared."""
@@ -45,19 +50,32 @@ def offsets_to_try(largest: float, step: float = 0.25) -> F64:
     return np.asarray(steps[np.argsort(np.abs(steps), kind="stable")], dtype=np.float64)
 
 
-def best_offset(offsets: F64, with_margin: F64, inside: F64) -> float:
-    """The offset with the least cost, orders beyond the volume included, unless another explains more of it inside.
+def improbability(offsets: F64, with_margin: F64, inside: F64) -> F64:
+    """How improbable each offset is, (n,), in units of the mean cost.
 
     A wall behind the volume agrees with wrong orders inside it at some wrong offset, so the search with the margin
-    decides; with its many orders a bare plane fits at several offsets nearly alike, of which that inside takes one.
-    Small offsets are more probable.
+    decides; with its many orders a bare plane fits at several offsets nearly alike, of which that counts that explains
+    more of it inside. Small offsets are more probable.
 
     Args:
         offsets: (n,) columns; with_margin, inside: (n,) mean least costs with the margin and without.
     """
     moved, outside = np.abs(offsets), np.maximum(inside - with_margin, 0.0)
-    improbable = PER_COLUMN * moved + PER_MOVED_COLUMN * np.minimum(moved, MOVED_COLUMNS)
-    return float(offsets[(with_margin + improbable + PER_OUTSIDE * outside).round(6).argmin()])
+    few = PER_COLUMN * moved + PER_MOVED_COLUMN * np.minimum(moved, MOVED_COLUMNS)
+    return np.asarray((with_margin + few + PER_OUTSIDE * outside).round(6), dtype=np.float64)
+
+
+def rivals(offsets: F64, values: F64) -> list[int]:
+    """Numbers of the offsets that may be the right one, the most probable first: minima not far above the least one.
+
+    Args:
+        values: (n,) of :func:`improbability`.
+    """
+    by_place = np.argsort(offsets)
+    along = np.concatenate([[np.inf], values[by_place], [np.inf]])
+    least = by_place[(along[1:-1] <= along[:-2]) & (along[1:-1] <= along[2:])]
+    least = least[values[least] <= values.min() + RIVAL]
+    return [int(n) for n in least[np.argsort(values[least], kind="stable")][:_MOST_RIVALS]]
 
 
 def other_shifts(
@@ -69,7 +87,7 @@ def other_shifts(
     determines the correction itself. Whether the orders win clearly must not depend on the offset that they chose.
 
     Args:
-        offsets, with_margin: as of :func:`best_offset`; cost: the same of the correction.
+        offsets, with_margin: as of :func:`improbability`; cost: the same of the correction.
         middle: projector coordinates along and across the fringes where the correction is compared with an offset.
     """
     here = float(correction @ (1.0, *middle))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
 from pipeline.decode.decoder import Decoder, PhaseMap
+from pipeline.filter.texture_agreement import scale_of
 from pipeline.fringe_order.order_search import OrderSearch
 from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import MatchResult
@@ -22,9 +23,12 @@ from pipeline.reconstruct.consistency import ColumnScan
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
 
+F64 = NDArray[np.float64]
+
 _RESPONSE_ROUNDS, _LEAST_POINTS = 3, 1000
 _STRIDE, _SCAN_STRIDE = 8, 16
 """Distance of the lattice rows whose costs are averaged, of the search and of the scan."""
+_DISPLACEMENTS_PX = (1, 2, 3, 5, 7, 10, 14, 20)
 
 
 class Calibrating(Protocol):
@@ -84,14 +88,25 @@ def calibrate(
 
 
 def scan_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> ColumnScan | None:
-    """Cost of the order search over column offsets of half a period to both sides; None without fringes."""
+    """Cost of the order search over column offsets, and over displacements of the right image; None without fringes.
+
+    The offsets are half a period to both sides. The displacements, across the epipolar lines, are tried at the offset
+    with the least cost that a drift of the projector explains.
+    """
+    search = made.searches[0]
     offsets = column_correction.offsets_to_try(made.pattern.length / made.pattern.periods / 2)
-    costs = [
-        made.searches[0].least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=_SCAN_STRIDE)
-        for offset in offsets
-    ]
+    costs = [search.least_costs(left, right, np.array([each, 0.0, 0.0]), stride=_SCAN_STRIDE) for each in offsets]
+    largest = made.settings.self_calibration_range
+    means = np.where(np.abs(offsets) <= largest, [mean_of(cost) for cost in costs], np.inf)
+    allowed = np.array([offsets[means.argmin()], 0.0, 0.0])
+    across = {
+        pixels: mean_of(
+            search.least_costs(left, right.displaced(pixels, made.left.first_axis), allowed, stride=_SCAN_STRIDE)
+        )
+        for pixels in (0, *(sign * each for each in _DISPLACEMENTS_PX for sign in (1, -1)))
+    }
     made.clear_prior()
-    return ColumnScan.of(offsets, costs, made.settings.self_calibration_range)
+    return ColumnScan.of(offsets, costs, largest, across)
 
 
 def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> MatchResult:
@@ -101,14 +116,14 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
     offsets = column_correction.offsets_to_try(made.settings.self_calibration_range)
 
     def mean_cost(search: OrderSearch, correction: Correction) -> float:
-        costs = search.least_costs(left, right, correction, stride=_STRIDE)
-        return float(costs.mean(dtype=np.float64)) if len(costs) else 0.0
+        return mean_of(search.least_costs(left, right, correction, stride=_STRIDE))
 
     with_margin, within = (
         np.array([mean_cost(search, np.array([offset, 0.0, 0.0])) for offset in offsets])
         for search in (made.searches[0], OrderSearch(inside))
     )
-    made.correction = np.array([column_correction.best_offset(offsets, with_margin, within), 0.0, 0.0])
+    values = column_correction.improbability(offsets, with_margin, within)
+    made.correction = np.array([_best_of_rivals(made, left, right, offsets, values), 0.0, 0.0])
     made.calibrated = True
     made.clear_prior()
     match = made.match(left, right)
@@ -121,6 +136,29 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
     made.clear_prior()
     made.other_shifts = column_correction.other_shifts(offsets, with_margin, made.correction, cost, middle)
     return match
+
+
+def mean_of(costs: NDArray[np.float32]) -> float:
+    """Mean of the costs (n,) of pixels; 0 without any."""
+    return float(costs.mean(dtype=np.float64)) if len(costs) else 0.0
+
+
+def _best_of_rivals(made: Calibrating, left: PhaseMap, right: PhaseMap, offsets: F64, values: F64) -> float:
+    """The offset that costs and textures make the most probable one.
+
+    The phases of a wall that is partly out of reach may agree better at a wrong offset than at the right one; the
+    textures of the places that are matched then differ.
+    """
+    rivals = column_correction.rivals(offsets, values)
+    if len(rivals) == 1:
+        return float(offsets[rivals[0]])
+    totals = []
+    for n in rivals:
+        made.correction = np.array([offsets[n], 0.0, 0.0])
+        difference = scale_of(made.match(left, right), left, right).mean_sigma
+        made.clear_prior()
+        totals.append(values[n] + column_correction.PER_TEXTURE * np.log(difference))
+    return float(offsets[rivals[int(np.argmin(totals))]])
 
 
 def _with_gains(

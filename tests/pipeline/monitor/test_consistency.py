@@ -10,13 +10,15 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.reconstruction.cases import HARD
+from benchmarks.trust import scaled
 from pipeline.monitor.checked_reconstructor import CheckedReconstructor
 from pipeline.monitor.consistency import LIMITS, judged, together
 from pipeline.reconstruct.consistency import ColumnScan, Reading
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
-from sim.render.render_pair import RenderedPair
+from sim.render.render_pair import RenderedPair, render_counts, with_noise
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
@@ -191,8 +193,30 @@ def test_a_scan_finds_the_offset_with_the_least_cost_and_its_share_of_unrelated_
     offsets = np.arange(-6.0, 7.0)
     costs = [np.full(500, 0.3, np.float32) for _ in offsets]
     costs[9][:] = 0.06
-    scan = ColumnScan.of(offsets, costs, largest=2.0)
+    scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1, 1: 0.091, -3: 0.0901})
     assert (scan.offset_px, scan.cost) == (3.0, pytest.approx(0.06))
     assert abs(scan.allowed_px) <= 2
     assert scan.relative_cost == pytest.approx(1.0)
-    assert ColumnScan.of(offsets, [cost[:10] for cost in costs], largest=2.0) is None
+    assert scan.across_px == 0.0  # no displacement costs clearly less than none
+    assert ColumnScan.of(offsets, costs, 2.0, {0: 0.1, 1: 0.09, -3: 0.08}).across_px == -3.0
+    assert ColumnScan.of(offsets, [cost[:10] for cost in costs], 2.0, {0: 0.1}) is None
+
+
+@pytest.mark.parametrize("degrees", [0.1, -0.2, 0.5])
+def test_a_pitch_is_measured_by_the_displacement_at_which_the_fringes_agree_best(degrees: float):
+    images = pair("mixed")
+    displaced = reconstructor(turned(LAYOUT.calibration_for(STANDARD), "right", PITCH, degrees), "warn")
+    found = displaced.reconstruct(images.left, images.right).consistency
+    assert found.verdict == "inconsistent"
+    reading = found.readings["scanned_epipolar"].value
+    assert abs(reading) == pytest.approx(abs(degrees), rel=0.45)  # displacements are tried in such steps
+
+
+def test_fringes_without_slope_across_the_epipolar_lines_are_no_evidence_of_a_pitch():
+    """Wide fringes: a bias of the phase by some milliradians would be a displacement of several pixels."""
+    case = scaled(next(case for case in HARD if case.name == "plaster cast, wide fringes"), 0.5)
+    counts = render_counts(case.layout, build(case.scene, seed=1), case.pattern, case.optics, encoding=case.encoding)
+    made = Reconstructor(case.layout.calibration_for(case.optics), case.pattern, case.layout.volume())
+    found = CheckedReconstructor(made).reconstruct(*with_noise(counts, case.optics, 8, case.encoding)).consistency
+    assert found.verdict == "consistent", found.reason
+    assert found.readings["epipolar"].sigma > 0.05  # degrees; the scatter of the patches alone gives 0.017
