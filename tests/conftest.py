@@ -23,9 +23,6 @@ import pytest
 
 from tests import bytecode, kernels
 
-# As the program itself has it (daemon.cli.allocator), before anything imports numpy.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 hypothesis.settings.register_profile("fixed", derandomize=True, database=None)
 hypothesis.settings.load_profile("fixed")
 

@@ -47,7 +47,7 @@ class PatternWindow:
 
     def __init__(self, display: str, output: DetectedOutput) -> None:
         self.width, self.height = output.size
-        config = gl.Config(  # type: ignore[abstract]  # pyglet puts the real one in its place at run time
+        config = gl.Config(
             double_buffer=True,
             major_version=3,
             minor_version=3,

@@ -114,6 +114,9 @@ class LiveScene:
 
     def _stage(self, situation: _Situation) -> Stage:
         if situation not in self._stages:
+            scenes = situation.pose, situation.instant
+            alike = (stage for known, stage in reversed(self._stages.items()) if (known.pose, known.instant) == scenes)
+            like = next(alike, None)
             while len(self._stages) >= self._stages_kept:
                 self._stages.popitem(last=False)
             options, optics = self._options, self._optics
@@ -123,7 +126,7 @@ class LiveScene:
                 rig = rig.after(disturbance)
             t_s = scene.period_s * situation.instant / self._instants
             self._stages[situation] = Stage(
-                options.layout, scene, optics, encoding=options.encoding, instants_s=(t_s,), rig=rig
+                options.layout, scene, optics, encoding=options.encoding, instants_s=(t_s,), rig=rig, like=like
             )
         self._stages.move_to_end(situation)
         return self._stages[situation]

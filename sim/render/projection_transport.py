@@ -71,6 +71,8 @@ class Stage:
         layout, scene, optics, encoding: as :func:`sim.render.render_pair.render_pair` takes them.
         instants_s: starts of exposure in the scene's time; one is enough for a scene at rest.
         rig: a disturbed rig instead of that of the layout and the optics.
+        like: a stage of the same layout, scene, optics and instants; the rays of a camera that stands there as here,
+            before a projector that does, are taken from it.
     """
 
     def __init__(
@@ -82,6 +84,7 @@ class Stage:
         encoding: str = "rgb8",
         instants_s: tuple[float, ...] = (0.0,),
         rig: TrueRig | None = None,
+        like: Stage | None = None,
     ) -> None:
         if not instants_s:
             raise ValueError("instants_s is empty, expected at least one instant")
@@ -90,12 +93,13 @@ class Stage:
         self.layout, self.scene, self.optics, self.encoding = layout, scene, optics or Optics(), encoding
         self.instants_s = instants_s if scene.moves else instants_s[:1]
         self.rig = rig = TrueRig.of(layout, self.optics) if rig is None else rig
-        self._footprints = [
-            tuple(
-                _footprint(layout, rig.projector, scene, self.optics, t_s, camera) for camera in (rig.left, rig.right)
-            )
-            for t_s in self.instants_s
-        ]
+        known = {} if like is None else like._footprints
+        self._footprints: dict[tuple[object, ...], Footprint] = {}
+        for t_s in self.instants_s:
+            for camera in (rig.left, rig.right):
+                key = _key(t_s, rig.projector, camera)
+                found = known.get(key)
+                self._footprints[key] = found or _footprint(layout, rig.projector, scene, self.optics, t_s, camera)
 
     def counts(self, image: NDArray[np.uint8], instant: int = 0) -> Counts:
         """Counts above black of both cameras without noise, as of :func:`sim.render.render_pair.render_counts`.
@@ -106,17 +110,29 @@ class Stage:
         """
         sent = render_pair.image_sent(image, self.optics, self.layout.projector_size)
         light = projected_light(sent, self.optics)
+        t_s = self.instants_s[instant % len(self.instants_s)]
         left, right = (
             sensor.exposed(
-                footprint.lit_by(light, self.optics), camera, self.optics, self.encoding, self.rig.crosstalk[camera]
+                self._footprints[_key(t_s, self.rig.projector, device)].lit_by(light, self.optics),
+                camera,
+                self.optics,
+                self.encoding,
+                self.rig.crosstalk[camera],
             )
-            for camera, footprint in enumerate(self._footprints[instant % len(self._footprints)])
+            for camera, device in enumerate((self.rig.left, self.rig.right))
         )
         return left, right
 
     def images(self, counts: Counts, seed: int) -> tuple[Image, Image]:
         """Both images of counts; the seed determines the noise."""
         return render_pair.with_noise(counts, self.optics, seed, self.encoding)
+
+
+def _key(t_s: float, projector: CameraModel, camera: CameraModel) -> tuple[object, ...]:
+    """All that a footprint depends on in one scene under one light."""
+    devices = projector, camera
+    arrays = (part for one in devices for part in (one.matrix, one.distortion, one.rotation, one.translation))
+    return t_s, *(part.tobytes() for part in arrays)
 
 
 def _footprint(

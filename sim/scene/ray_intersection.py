@@ -63,6 +63,16 @@ def relief_height(variant: float, p: float, q: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def relief_heights(variant: float, p: Array, q: Array) -> Array:
+    """:func:`relief_height` at the places of two tables, without a call from Python for each."""
+    out = np.empty_like(p)
+    for row in range(p.shape[0]):
+        for column in range(p.shape[1]):
+            out[row, column] = relief_height(variant, p[row, column], q[row, column])
+    return out
+
+
+@njit(cache=True, nogil=True)
 def _rectangle(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Hit:
     if abs(dz) < 1e-12:
         return _INF, 0.0, 0.0, 0.0

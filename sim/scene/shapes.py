@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.scene.printed_marks import Ink
-from sim.scene.ray_intersection import BOX, CYLINDER, MESH, RECTANGLE, RELIEF, SPHERE, Table, relief_height
+from sim.scene.ray_intersection import BOX, CYLINDER, MESH, RECTANGLE, RELIEF, SPHERE, Table, relief_heights
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -139,8 +139,8 @@ def relief(width_mm: float, height_mm: float, depth_mm: float, *, variant: str =
     number = {"face": 0.0, "waves": 1.0}[variant]
     a, b = width_mm / 2, height_mm / 2
     q, p = np.mgrid[-1:1:301j, -1:1:301j]
-    heights = depth_mm * np.array([relief_height(number, x, y) for x, y in zip(p.ravel(), q.ravel(), strict=True)])
-    rows, columns = np.gradient(heights.reshape(p.shape), b * 2 / 300, a * 2 / 300)
+    heights = depth_mm * relief_heights(number, p, q)
+    rows, columns = np.gradient(heights, b * 2 / 300, a * 2 / 300)
     steepest, highest = float(np.hypot(rows, columns).max()), float(heights.max())
     radius = float(np.hypot(max(a, b), highest * 1.02))
     return Shape(RELIEF, (a, b, depth_mm, number, 1.15 * steepest, highest * 1.01 + 0.1), radius)

@@ -113,8 +113,11 @@ def _smooth_coordinate(
     is fitted to the fine coordinate: a flat board in a lens of little distortion needs no more.
     """
     v, u = (index[::2] for index in np.nonzero(area))
-    scale = np.array(area.shape[::-1], np.float64) / 2
-    places = (np.stack([u, v], axis=1) - scale) / scale
+    places = np.stack([u, v], axis=1)
+    # Between -1 and 1 on the board: the normal equations of the fits are then well conditioned.
+    low, high = places.min(axis=0), places.max(axis=0)
+    middle, scale = (low + high) / 2, (high - low) / 2
+    places = (places - middle) / scale
     rough = _fitted(_powers(places, 3), coarse[v, u])
     fine = (phase[v, u] / (2 * np.pi)) * period - 0.5
     absolute = fine + period * np.rint((rough - fine) / period)
@@ -126,7 +129,7 @@ def _smooth_coordinate(
             f"{side} camera: the fringes do not lie on a flat board (typical deviation {residual:.1f} projector "
             f"pixels, limit {0.1 * period:.1f}); show one flat white board, and nothing else that is white"
         )
-    at = (pixels - scale) / scale
+    at = (pixels - middle) / scale
     slopes = [_powers(at, 5, along) @ values / scale[along] for along in (0, 1)]
     return _powers(at, 5) @ values, np.stack(slopes, axis=1)
 
@@ -147,13 +150,20 @@ def _powers(places: Array, degree: int, along: int | None = None) -> Array:
 
 
 def _coefficients(terms: Array, values: Array) -> Array:
-    """Least squares without far outliers."""
+    """Least squares without far outliers.
+
+    Of the normal equations, which takes a third of the time that all rows do: with monomials up to degree 5 on [-1, 1]
+    their condition number is some thousands, so that 11 digits are kept.
+    """
     keep: Mask = np.ones(len(values), bool)
     solution: Array = np.zeros(terms.shape[1])
     for _ in range(4):
-        solution = np.asarray(np.linalg.lstsq(terms[keep], values[keep], rcond=None)[0], np.float64)
+        used = terms[keep]
+        solution = np.asarray(np.linalg.lstsq(used.T @ used, used.T @ values[keep], rcond=None)[0], np.float64)
         away = np.abs(values - terms @ solution)
-        keep = away <= max(4 * 1.4826 * float(np.median(away)), 1e-9)
+        before, keep = keep, away <= max(4 * 1.4826 * float(np.median(away)), 1e-9)
+        if np.array_equal(keep, before):
+            break
     return solution
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.render import render_pair
+from sim.render import projection_transport, render_pair
 from sim.render.projection_transport import Stage
+from sim.rig.disturbance import Disturbance, TrueRig
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene import named_scenes
@@ -70,6 +71,31 @@ def test_instants_go_round_and_a_scene_at_rest_needs_one() -> None:
     pics = [moving.counts(white, instant)[0] for instant in range(4)]
     assert np.array_equal(pics[0], pics[3])
     assert not np.array_equal(pics[0], pics[1])
+
+
+@pytest.mark.parametrize(
+    ("change", "traced"),
+    [
+        (Disturbance("right", turn_deg=(0.0, 0.1, 0.0)), 1),
+        (Disturbance("left", shift_px=(0.0, 0.4)), 1),
+        (Disturbance("left", crosstalk=0.1), 0),
+        (Disturbance("projector", shift_px=(1.0, 0.0)), 2),
+    ],
+    ids=str,
+)
+def test_a_stage_like_another_traces_only_cameras_whose_view_of_the_light_has_changed(
+    change: Disturbance, traced: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, image = named_scenes.build("plane"), images()["noise"]
+    rig = TrueRig.of(SMALL, Optics()).after(change)
+    before, expected = Stage(SMALL, scene), Stage(SMALL, scene, rig=rig).counts(image)
+    trace = projection_transport._footprint
+    calls: list[object] = []
+    monkeypatch.setattr(projection_transport, "_footprint", lambda *of: calls.append(of) or trace(*of))
+    stage = Stage(SMALL, scene, rig=rig, like=before)
+    assert len(calls) == traced
+    assert all(np.array_equal(*both) for both in zip(stage.counts(image), expected, strict=True))
+    assert not all(np.array_equal(*both) for both in zip(before.counts(image), expected, strict=True))
 
 
 def test_invalid_arguments_raise_an_error() -> None:

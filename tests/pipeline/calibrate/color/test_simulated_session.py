@@ -1,10 +1,12 @@
 """A colour session on the simulated rig's plane, checked on another pattern."""
 
+import functools
+
 import numpy as np
 import pytest
 
 from pipeline.calibrate.color import calibrate_color, check_sequence, color_sequence, phase_error
-from sim.render.render_pair import render_images
+from sim.render.projection_transport import Stage
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
@@ -14,11 +16,12 @@ OPTICS = Optics(gamma=2.2, crosstalk=0.12, precorrected=False)
 
 
 def capture(sequence, seed, response=None):
-    scene = build("plane")
-    return [
-        render_images(LAYOUT, scene, frame.image(response), OPTICS, seed=seed + i)
-        for i, frame in enumerate(sequence.frames)
-    ]
+    return [stage().images(stage().counts(frame.image(response)), seed + i) for i, frame in enumerate(sequence.frames)]
+
+
+@functools.cache
+def stage():
+    return Stage(LAYOUT, build("plane"), OPTICS)
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """A white board in front of two cameras, computed from the formulas, with adjustable faults."""
 
+import functools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +22,7 @@ HOMOGRAPHIES = (
 )
 
 
+@functools.cache
 def rig():
     """Cameras and projector whose geometry only gives the principal points and focal lengths here."""
     matrix = np.array([[690.0, 0, 103.0], [0, 690.0, 80.0], [0, 0, 1]])
@@ -51,6 +53,7 @@ class WhiteBoard:
         levels = np.arange(256.0)
         return Response(levels, np.stack([(levels / 255) ** g for g in self.gamma]))
 
+    @functools.cached_property
     def albedo(self):
         v, u = np.mgrid[0 : CAMERA[1], 0 : CAMERA[0]]
         out = 0.9 - 0.15 * ((u - 100) / 104.0) ** 2
@@ -58,34 +61,32 @@ class WhiteBoard:
             out[((u % 26 - 13) ** 2 + (v % 26 - 13) ** 2) < 36] = 0.05
         return out
 
-    def light(self, frame, side, shown=None):
-        """Light of the three channels at every pixel of a camera, 0..255."""
+    @functools.cached_property
+    def places(self):
+        """Projector pixels of the camera pixels, (2 cameras, 3 channels, height, width, 2)."""
         v, u = np.mgrid[0 : CAMERA[1], 0 : CAMERA[0]].astype(float)
         pixels = np.stack([u, v], axis=-1)
-        camera = (rig().left, rig().right)[side]
-        displacement = (
-            np.zeros((3, *pixels.shape))
-            if self.lateral_chromatic is None
-            else self.lateral_chromatic.at(camera, pixels)
-        )
-        drive = frame.image(shown)
-        out = np.empty((*pixels.shape[:2], 3))
-        for k in range(3):
-            light = 255 * (drive[..., k] / 255.0) ** self.gamma[k]
-            if isinstance(frame, Uniform):
-                out[..., k] = light[0, 0]
-                continue
-            at = projected(pixels - displacement[k], side)
-            if self.registration is not None:
-                at = at - self.registration.at(PROJECTOR, at)[k]
-            first = 0 if frame.axis == "x" else 1
-            line = light[0] if first == 0 else light[:, 0]
-            out[..., k] = spline(line, at[..., first])
+        out = np.empty((2, 3, *pixels.shape))
+        for side, camera in enumerate((rig().left, rig().right)):
+            for k in range(3):
+                moved = 0 if self.lateral_chromatic is None else self.lateral_chromatic.at(camera, pixels)[k]
+                out[side, k] = projected(pixels - moved, side)
+                if self.registration is not None:
+                    out[side, k] -= self.registration.at(PROJECTOR, out[side, k])[k]
         return out
+
+    def light(self, frame, side, shown=None):
+        """Light of the three channels at every pixel of a camera, 0..255."""
+        drive = frame.image(shown)
+        line, axis = (drive[:, 0], 1) if not isinstance(frame, Uniform) and frame.axis == "y" else (drive[0], 0)
+        light = 255 * (line / 255.0) ** np.array(self.gamma)
+        if isinstance(frame, Uniform):
+            return np.broadcast_to(light[0], (*CAMERA[::-1], 3))
+        return np.stack([spline(light[:, k], self.places[side, k, ..., axis]) for k in range(3)], axis=-1)
 
     def image(self, frame, side, seed=0, shown=None, exposure=1.0, cap=False):
         light = self.light(frame, side, shown) + self.ambient
-        counts = exposure * self.albedo()[..., None] * (light @ (self.mix[side] * np.array(self.gain)).T)
+        counts = exposure * self.albedo[..., None] * (light @ (self.mix[side] * np.array(self.gain)).T)
         counts = (0 if cap else 1) * counts + self.black
         counts += self.noise * np.random.default_rng([seed, side]).standard_normal(counts.shape)
         rgb = np.clip(np.rint(counts), 0, 255).astype(np.uint8)
