@@ -1,0 +1,170 @@
+"""Effects that the simulator does not have, on the standard scene; ``python -m benchmarks.effects --scale 0.5``.
+
+The light on the sensors, or the images, are changed between rendering and reconstruction: scattering, glare, blur,
+displacement, unequal cameras and pixels. The exit code is 1 if a limit of the hard scenes is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from benchmarks.common.tables import Table
+from benchmarks.reconstruction.cases import HARD, Case
+from benchmarks.trust import scaled
+from sim.evaluate.point_errors import point_errors
+from sim.render import sensor
+from sim.render.projected_light import projected_light
+from sim.render.render_pair import image_sent, light_on_sensor, truths
+from sim.rig.disturbance import TrueRig
+from sim.scene.named_scenes import build
+
+Light = NDArray[Any]
+Image = NDArray[Any]
+Effect = Callable[[Light, int], Light]
+"""Of the light (H, W, 3) on a sensor and the camera's number, 0 left, 1 right."""
+
+LARGEST_WRONG = 0.001
+_SIGMA_RANGE = 0.8, 1.3
+_BALANCE = np.array([1.25, 1.0, 0.8], np.float32)
+
+
+def blurred(light: Light, pixels: float) -> Light:
+    """Light after a Gaussian blur with this standard deviation."""
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), pixels), np.float32)
+
+
+def displaced(light: Light, right: float, down: float) -> Light:
+    """Light of an image displaced by fractions of a pixel, to about 1 / 32."""
+    motion = np.array([[1, 0, right], [0, 1, down]], np.float32)
+    size = light.shape[1::-1]
+    return np.asarray(cv2.warpAffine(light, motion, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+
+
+def scattered(share: float, pixels: float) -> Effect:
+    """A share of the light spread over its surroundings, in both cameras."""
+    return lambda light, _: (1 - share) * light + share * blurred(light, pixels)
+
+
+def of_right(change: Callable[[Light], Light]) -> Effect:
+    """A change of the right camera's light alone."""
+    return lambda light, camera: change(light) if camera else light
+
+
+def _ambient(light: Light, _: int) -> Light:
+    return np.asarray(light + 40 * np.linspace(0, 1, light.shape[1], dtype=np.float32)[:, None], np.float32)
+
+
+LIGHT: dict[str, Effect] = {
+    "none": lambda light, _: light,
+    "scattering below the surface, 20 % over 3 pixels": scattered(0.2, 3),
+    "the same, 40 % over 5 pixels": scattered(0.4, 5),
+    "light from other surfaces, 30 % over 30 pixels": scattered(0.3, 30),
+    "veiling glare of 8 %": lambda light, _: light + 0.08 * light.mean(),
+    "right camera 0.6 times as bright": of_right(lambda light: np.float32(0.6) * light),
+    "right image blurred by 1 pixel": of_right(lambda light: blurred(light, 1.0)),
+    "both blurred by 1.2 pixels": lambda light, _: blurred(light, 1.2),
+    "right image displaced by 0.3 pixels down": of_right(lambda light: displaced(light, 0, 0.3)),
+    "ambient light across the image, up to 16 %": _ambient,
+    "right image displaced by 0.2 pixels along the baseline": of_right(lambda light: displaced(light, 0.2, 0)),
+}
+
+
+def _balanced(counts: Light, camera: int, case: Case) -> Light:
+    """White balance of the right camera."""
+    if not camera:
+        return counts
+    if counts.ndim == 3:
+        return np.asarray(counts * _BALANCE)
+    channels = np.reshape(sensor.MOSAICS[case.encoding], (2, 2))
+    height, width = counts.shape
+    return np.asarray(counts * np.tile(_BALANCE[channels], (-(-height // 2), -(-width // 2)))[:height, :width])
+
+
+def _unequal(counts: Light, camera: int, _: Case) -> Light:
+    gain, offset = (
+        np.random.default_rng([77 + k, camera]).standard_normal(counts.shape, dtype=np.float32) for k in (0, 1)
+    )
+    return np.asarray(counts * (1 + 0.01 * gain) + 0.7 * offset)
+
+
+def _hot(image: Image, camera: int) -> Image:
+    return np.where(np.random.default_rng([79, camera]).random(image.shape) < 0.0005, np.uint8(255), image)
+
+
+def _gamma(image: Image, _: int) -> Image:
+    return np.rint(255 * (image / 255.0) ** 0.85).astype(np.uint8)
+
+
+COUNTS: dict[str, Callable[[Light, int, Case], Light]] = {
+    "right camera's channels times 1.25, 1, 0.8": _balanced,
+    "pixels of unequal gain and offset, 1 %, 0.7 counts": _unequal,
+}
+IMAGES: dict[str, Callable[[Image, int], Image]] = {"hot pixels, 0.05 %": _hot, "camera gamma of 0.85": _gamma}
+
+
+def with_effect(name: str, lights: tuple[Light, Light], case: Case, seed: int = 0) -> list[Image]:
+    """Both cameras' images of this light under an effect, read-only."""
+    images = []
+    for camera, light in enumerate(lights):
+        changed = np.asarray(LIGHT.get(name, LIGHT["none"])(light, camera), np.float32)
+        counts = sensor.exposed(changed, camera, case.optics, case.encoding)
+        counts = COUNTS[name](counts, camera, case) if name in COUNTS else counts
+        image = sensor.read_out(counts, case.optics, np.random.default_rng([seed, camera]), case.encoding)
+        image = IMAGES[name](image, camera) if name in IMAGES else image
+        image.setflags(write=False)
+        images.append(image)
+    return images
+
+
+def table_of(case: Case) -> tuple[Table, list[str]]:
+    """A row for each effect, and the limits that are missed."""
+    rig, scene, volume = TrueRig.of(case.layout, case.optics), build(case.scene), case.layout.volume()
+    light = projected_light(image_sent(case.pattern, case.optics, rig.projector.size), case.optics)
+    left, right = (
+        light_on_sensor(case.layout, rig.projector, scene, light, case.optics, 0.0, device)
+        for device in (rig.left, rig.right)
+    )
+    truth, _ = truths(case.layout, scene)
+    columns = ["effect", "within 1 mm %", "wrong %", "false surfaces", "rms um", "error / sigma"]
+    table, missed = Table("effects", f"Effects that the simulator does not have, {case.name}", columns), []
+    for name in (*LIGHT, *COUNTS, *IMAGES):
+        cloud = case.reconstructor().reconstruct(*with_effect(name, (left, right), case))
+        found = point_errors(cloud.xyz, cloud.sigma_mm, truth, (volume.near_mm, volume.far_mm))
+        table.add(
+            name, f"{100 * found.covered:.2f}", f"{100 * found.wrong:.3f}",
+            f"{found.false_surfaces} of {found.false_points}", f"{1e3 * found.rms_mm:.0f}",
+            f"{found.error_to_sigma:.2f}",
+        )  # fmt: skip
+        least, most = _SIGMA_RANGE
+        if found.wrong > LARGEST_WRONG or found.false_surfaces or not least <= found.error_to_sigma <= most:
+            missed.append(name)
+    return table, missed
+
+
+def main(given: list[str]) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scale", type=float, default=1.0, help="of images and fringes, 1 = 1024 x 820")
+    parser.add_argument("--case", default="standard", help="name of a hard case")
+    options = parser.parse_args(given)
+    case = next((case for case in HARD if case.name == options.case), None)
+    if case is None:
+        parser.error(f"case {options.case!r}: expected one of {', '.join(case.name for case in HARD)}")
+    table, missed = table_of(scaled(case, options.scale))
+    console = Console(width=None if sys.stdout.isatty() else 170)
+    table.print(console)
+    for name in missed:
+        console.print(f"MISSED {name}", highlight=False)
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
