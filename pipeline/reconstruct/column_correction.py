@@ -30,7 +30,7 @@ PER_MOVED_COLUMN, MOVED_COLUMNS = 0.05, 0.75
 offset of most of a column may cost less than the right one, and a projector drifts by a fraction of a column."""
 PER_OUTSIDE = 0.05
 """Weight of what the orders beyond the volume save: nothing at the right offset of a scene inside it."""
-RIVAL, _MOST_RIVALS = 0.15, 4
+COMPARED_WITHIN, _MOST_MINIMA = 0.15, 4
 """How much more improbable than the best one an offset may be, in units of the mean cost, if textures are to decide;
 how many offsets are compared."""
 PER_TEXTURE = 0.1
@@ -65,7 +65,7 @@ def improbability(offsets: F64, with_margin: F64, inside: F64) -> F64:
     return np.asarray((with_margin + few + PER_OUTSIDE * outside).round(6), dtype=np.float64)
 
 
-def rivals(offsets: F64, values: F64) -> list[int]:
+def minima(offsets: F64, values: F64) -> list[int]:
     """Numbers of the offsets that may be the right one, the most probable first: minima not far above the least one.
 
     Args:
@@ -74,8 +74,8 @@ def rivals(offsets: F64, values: F64) -> list[int]:
     by_place = np.argsort(offsets)
     along = np.concatenate([[np.inf], values[by_place], [np.inf]])
     least = by_place[(along[1:-1] <= along[:-2]) & (along[1:-1] <= along[2:])]
-    least = least[values[least] <= values.min() + RIVAL]
-    return [int(n) for n in least[np.argsort(values[least], kind="stable")][:_MOST_RIVALS]]
+    least = least[values[least] <= values.min() + COMPARED_WITHIN]
+    return [int(n) for n in least[np.argsort(values[least], kind="stable")][:_MOST_MINIMA]]
 
 
 def other_shifts(

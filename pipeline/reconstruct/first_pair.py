@@ -123,7 +123,7 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
         for search in (made.searches[0], OrderSearch(inside))
     )
     values = column_correction.improbability(offsets, with_margin, within)
-    made.correction = np.array([_best_of_rivals(made, left, right, offsets, values), 0.0, 0.0])
+    made.correction = np.array([_best_of_minima(made, left, right, offsets, values), 0.0, 0.0])
     made.calibrated = True
     made.clear_prior()
     match = made.match(left, right)
@@ -143,22 +143,22 @@ def mean_of(costs: NDArray[np.float32]) -> float:
     return float(costs.mean(dtype=np.float64)) if len(costs) else 0.0
 
 
-def _best_of_rivals(made: Calibrating, left: PhaseMap, right: PhaseMap, offsets: F64, values: F64) -> float:
+def _best_of_minima(made: Calibrating, left: PhaseMap, right: PhaseMap, offsets: F64, values: F64) -> float:
     """The offset that costs and textures make the most probable one.
 
     The phases of a wall that is partly out of reach may agree better at a wrong offset than at the right one; the
     textures of the places that are matched then differ.
     """
-    rivals = column_correction.rivals(offsets, values)
-    if len(rivals) == 1:
-        return float(offsets[rivals[0]])
+    minima = column_correction.minima(offsets, values)
+    if len(minima) == 1:
+        return float(offsets[minima[0]])
     totals = []
-    for n in rivals:
+    for n in minima:
         made.correction = np.array([offsets[n], 0.0, 0.0])
         difference = scale_of(made.match(left, right), left, right).mean_sigma
         made.clear_prior()
         totals.append(values[n] + column_correction.PER_TEXTURE * np.log(difference))
-    return float(offsets[rivals[int(np.argmin(totals))]])
+    return float(offsets[minima[int(np.argmin(totals))]])
 
 
 def _with_gains(

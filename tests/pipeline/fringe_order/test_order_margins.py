@@ -11,7 +11,7 @@ from benchmarks.reconstruction.cases import Case, random_case
 from benchmarks.trust import errors_of, scaled
 from pipeline.common.settings import Settings
 from pipeline.fringe_order.order_margins import AMBIGUOUS_SHARE, CELL, SAMPLES, Groups, least_margins
-from pipeline.reconstruct.column_correction import CLEARLY_MORE, RIVAL, improbability, other_shifts, rivals
+from pipeline.reconstruct.column_correction import CLEARLY_MORE, COMPARED_WITHIN, improbability, minima, other_shifts
 from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.evaluate.point_errors import point_errors
 from sim.render.render_pair import render_pair
@@ -133,9 +133,9 @@ def test_the_column_correction_follows_the_search_with_the_margin_where_that_dec
 def test_textures_decide_between_minima_that_are_about_as_probable() -> None:
     offsets = np.array([0.0, -0.25, 0.25, -0.5, 0.5])
     values = np.array([0.1, 0.3, 0.2, 0.12, 0.3])
-    assert rivals(offsets, values) == [0, 3]
-    assert rivals(offsets, values + 2 * RIVAL * (offsets == -0.5)) == [0]
-    assert rivals(offsets, np.array([0.3, 0.2, 0.2, 0.1, 0.15])) == [3, 4]
+    assert minima(offsets, values) == [0, 3]
+    assert minima(offsets, values + 2 * COMPARED_WITHIN * (offsets == -0.5)) == [0]
+    assert minima(offsets, np.array([0.3, 0.2, 0.2, 0.1, 0.15])) == [3, 4]
 
 
 @pytest.mark.timeout(300)
