@@ -24,7 +24,7 @@ from pipeline.decode.kernels.mosaic_fit import (
     start_tile,
 )
 from pipeline.decode.kernels.normal_equations import IM, MEAN, RE, VARIANCE, solve
-from pipeline.decode.kernels.row_output import angles_of_row, counts_of_row, describe_row, row_stride
+from pipeline.decode.kernels.row_output import angles_of_row, copy_row, counts_of_row, describe_row, row_stride
 from pipeline.decode.kernels.three_step import levels_of_row
 from pipeline.decode.packed_phasor import PHASOR_SCALE
 from pipeline.decode.pixel_descriptor import complete_row, normalised_phase_row
@@ -159,7 +159,7 @@ def decode_bayer(
             for j in range(edge):
                 for x in (j, width - 1 - j):
                     re[x], im[x], w[x] = zero, zero, inf
-            variance[i, :] = w
+            copy_row(w, variance[i])
             counts_of_row(plain[q, :width], mean[i])
             angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
             describe_row(re, im, w, min_modulation, modulation[i], valid[i])

@@ -34,6 +34,13 @@ def angles_of_row(re: Any, im: Any, scale: Any, phasor: Any, phase: Any) -> None
 
 
 @serial
+def copy_row(values: Any, out: Any) -> None:
+    """Copy a row (n,); numba compiles the message of a slice's wrong shape for 4 s."""
+    for j in range(out.shape[0]):
+        out[j] = values[j]
+
+
+@serial
 def describe_row(re: Any, im: Any, variance: Any, min_modulation: float, modulation: Any, valid: Any) -> None:
     """Modulation (n,) uint8 counts and validity (n,) bool of a row."""
     full, one = np.float32(255.0), np.float32(1.0)
