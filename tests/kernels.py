@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from daemon.common.errors import DaemonError
-from daemon.kernels.jobs import ENCODINGS, measuring_jobs, rendering_jobs
+from daemon.kernels.jobs import ENCODINGS, later_jobs, measuring_jobs, rendering_jobs
 from daemon.kernels.processes import compile_kernels
 
 MODES = ("heterodyne", "bayer_rggb8"), ("heterodyne", "mono16"), ("gray", "rgb8"), ("two_color", "rgb8")
@@ -14,6 +14,7 @@ def compile_all() -> str:
     """Compile what is missing; returns what went wrong, or nothing."""
     jobs = [*rendering_jobs(ENCODINGS), *(job for encoding in ENCODINGS for job in measuring_jobs(encoding))]
     jobs += [job for mode, encoding in MODES for job in measuring_jobs(encoding, mode)]
+    jobs += later_jobs()
     try:
         compile_kernels(jobs)
     except DaemonError as error:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 ENCODINGS = "rgb8", "bayer_rggb8"
 """One of each kind: the kernels of the other mosaics are the same."""
 _ALL = "all"
-MEASURE, MODE, RENDER = "measure", "mode", "render"
+MEASURE, MODE, RENDER, LATER = "measure", "mode", "render", "later"
 
 
 def measuring_jobs(encoding: str, mode: str | None = None) -> tuple[str, ...]:
@@ -27,13 +27,18 @@ def rendering_jobs(encodings: Iterable[str]) -> tuple[str, ...]:
     return tuple(f"{RENDER}/{encoding}/images" for encoding in encodings)
 
 
+def later_jobs() -> tuple[str, ...]:
+    """Jobs of what no start needs: the filters of the cloud and the calibration, when they are first asked for."""
+    return tuple(f"{LATER}/{_ALL}/{part}" for part in ("cloud filters", "circles", "corners"))
+
+
 def release_jobs() -> tuple[str, ...]:
-    """Jobs of a release: every mode with every kind of image, and the simulated rig."""
+    """Jobs of a release: every mode with every kind of image, calibration, filters, and the simulated rig."""
     from pipeline.pattern.mode_sequences import MODES
 
     kinds = [(encoding, mode) for encoding in ENCODINGS for mode in (None, *MODES)]
     kinds += [("mono16", mode) for mode in MODES if mode != "two_color"]
-    jobs = [*rendering_jobs(ENCODINGS), *(job for kind in kinds for job in measuring_jobs(*kind))]
+    jobs = [*rendering_jobs(ENCODINGS), *(job for kind in kinds for job in measuring_jobs(*kind)), *later_jobs()]
     return tuple(dict.fromkeys(jobs))
 
 
@@ -52,8 +57,10 @@ def run_job(name: str) -> None:
         _compile_mode(part, encoding)
     elif kind == RENDER:
         _render(encoding)
+    elif kind == LATER:
+        _compile_later(part)
     else:
-        raise ValueError(f"job {name!r} is unknown, expected {MEASURE}/..., {MODE}/... or {RENDER}/...")
+        raise ValueError(f"job {name!r} is unknown, expected {MEASURE}/..., {MODE}/..., {RENDER}/... or {LATER}/...")
 
 
 def _compile_mode(mode: str, encoding: str) -> None:
@@ -64,6 +71,13 @@ def _compile_mode(mode: str, encoding: str) -> None:
     calibration, pattern, volume = small_rig()
     sequence = mode_sequence(mode, calibration.projector.size, periods=pattern.periods)
     SetReconstructor(calibration, sequence, volume, encoding=encoding).warm_up()
+
+
+def _compile_later(part: str) -> None:
+    from pipeline.calibrate.targets.localise import corner_fit, ellipse_fit
+    from pipeline.reconstruct.compilation import compile_cloud_filters
+
+    {"cloud filters": compile_cloud_filters, "circles": ellipse_fit.warm_up, "corners": corner_fit.warm_up}[part]()
 
 
 def _render(encoding: str) -> None:

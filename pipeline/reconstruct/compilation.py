@@ -12,21 +12,30 @@ from functools import cache
 import numpy as np
 
 from pipeline.attributes.normals import normals_of
+from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
 from pipeline.filter.kernel_warmup import warm_up_conflicts
 from pipeline.filter.texture_agreement import Scale
 from pipeline.fringe_order.left_right_check import cross_check
+from pipeline.fringe_order.order_margins import Limits
 from pipeline.fringe_order.order_propagation import propagate
 from pipeline.match.match_result import Points
 from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud_filters import cloud_filters
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
+from pipeline.rig.pose import Pose
 from pipeline.rig.volume import Volume
 
 WIDTH, HEIGHT = 96, 80
 _SCALE = Scale(0.0, 0.02, 0.0, 0.04, 0.0, 0.0)
+_FILTERED = Settings(
+    noise_threshold_mm=1.0, outlier_threshold_mm=1.0, smoothing_sigma_px=1.0, hole_filling_size=3, downsampling=2,
+    roi_z_max_mm=2000.0,
+)  # fmt: skip
+"""Every filter of the finished cloud is on."""
 
 
 def small_rig() -> tuple[Calibration, ColorFringe, Volume]:
@@ -64,6 +73,11 @@ def parts(encoding: str) -> dict[str, Callable[[], None]]:
     }
 
 
+def compile_cloud_filters() -> None:
+    """Compile (or load) the kernels of the filters of the finished cloud, which are off until they are asked for."""
+    cloud_filters(small_rig()[0], _FILTERED, mosaic=False, pose=Pose(), fuse=True)
+
+
 def _decode(encoding: str) -> None:
     deep = (3,) if encoding == "rgb8" else ()
     image = np.random.default_rng(0).integers(40, 200, (HEIGHT, WIDTH, *deep), np.uint8)
@@ -90,6 +104,10 @@ def _search() -> None:
     search.search(phases, phases, made.correction, use_prior=True)
     search.set_prior(phases, np.zeros(made.left.table.shape, np.int16))
     search.search(phases, phases, made.correction, use_prior=True)
+    label, valid = np.ones((HEIGHT, WIDTH), np.uint16), np.ones((HEIGHT, WIDTH), np.uint8)
+    sizes, order = np.full(1, label.size, np.int32), np.zeros(label.shape, np.int16)
+    limits = Limits(0.1, np.zeros(1), entirely=False)
+    search.reject_ambiguous(phases, phases, made.correction, limits, order, 1, label, sizes, valid)
 
 
 def _check() -> None:

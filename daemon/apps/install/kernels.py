@@ -21,11 +21,11 @@ from daemon.cli.allocator import prepare
 from daemon.kernels.release import select
 prepare()
 select()
-from daemon.kernels.jobs import ENCODINGS, measuring_jobs, rendering_jobs
+from daemon.kernels.jobs import ENCODINGS, later_jobs, measuring_jobs, rendering_jobs
 from daemon.kernels.processes import compile_kernels
 modes = sys.argv[1:] or [None]
 measuring = [job for encoding in ENCODINGS for mode in modes for job in measuring_jobs(encoding, mode)]
-compile_kernels([*rendering_jobs(ENCODINGS), *measuring])
+compile_kernels([*rendering_jobs(ENCODINGS), *measuring, *later_jobs()])
 """
 
 

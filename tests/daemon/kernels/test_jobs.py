@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from daemon.kernels.jobs import measuring_jobs, rendering_jobs, run_job
+from daemon.kernels.jobs import LATER, later_jobs, measuring_jobs, release_jobs, rendering_jobs, run_job
 
 _PROGRAM = """
 import sys
@@ -52,6 +52,11 @@ def test_mosaics_share_their_jobs() -> None:
 def test_encodings_share_all_but_the_decoder() -> None:
     own = set(measuring_jobs("rgb8")) ^ set(measuring_jobs("bayer_rggb8"))
     assert {job.split("/")[2] for job in own} == {"decode rgb8", "decode mosaic"}
+
+
+def test_what_no_start_needs_is_in_a_release_and_in_no_measurement() -> None:
+    assert set(later_jobs()) <= set(release_jobs())
+    assert not any(job.startswith(LATER) for job in measuring_jobs("rgb8", "gray"))
 
 
 def test_an_unknown_job_is_an_error() -> None:

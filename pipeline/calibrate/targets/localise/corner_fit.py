@@ -95,6 +95,13 @@ def fit_crossings(image: GrayImage, corners: Array, at: Array, *, reach: float) 
     )
 
 
+def warm_up() -> None:
+    """Compile (or load) the kernel: for no corner, because the types of the arguments are enough."""
+    values, numbers = np.zeros((1, 1), np.float32), np.zeros(0)
+    rows = np.zeros((0, PARAMETERS)), np.zeros((0, 10))
+    fit_corners(values, np.zeros((0, 2)), numbers, np.zeros(2), _BLUR, np.inf, 0, *rows)
+
+
 def _noise(parameters: Array, results: Array) -> Array:
     middle, half = np.median(parameters[:, 5]), np.median(np.abs(parameters[:, 8]))
     dark = float(middle - half), float(results[:, 5].sum()), float(results[:, 6].sum())

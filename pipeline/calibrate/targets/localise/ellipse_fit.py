@@ -99,6 +99,13 @@ def fit_ellipses(
     return _fits(values, starts, parameters, results, good)
 
 
+def warm_up() -> None:
+    """Compile (or load) the kernel: for no disc, because the types of the arguments are enough."""
+    values, numbers = np.zeros((1, 1), np.float32), np.zeros(0)
+    rows = np.zeros((0, PARAMETERS)), np.zeros((0, 10))
+    fit_all(values, np.zeros((0, 2)), np.zeros((0, 2, 2)), numbers, np.zeros(2), _BLUR, np.inf, 0, *rows)
+
+
 def _noise(parameters: Array, results: Array) -> Array:
     ground, disc = np.median(parameters[:, 6]), np.median(parameters[:, 6] - parameters[:, 9])
     inside = float(disc), float(results[:, 5].sum()), float(results[:, 6].sum())
