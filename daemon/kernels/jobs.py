@@ -81,6 +81,11 @@ def _compile_later(part: str) -> None:
 
 
 def _render(encoding: str) -> None:
+    import numpy as np
+
+    from sim.devices.live_world import LiveScene
+    from sim.devices.options import from_mapping
+    from sim.devices.projector import LiveProjector
     from sim.render.render_pair import render_pair
     from sim.rig.layout import RigLayout
     from sim.rig.optics import Optics
@@ -88,3 +93,7 @@ def _render(encoding: str) -> None:
 
     layout = RigLayout().scaled(0.125)
     render_pair(layout, build("moving"), layout.pattern(), Optics(), encoding=encoding)
+    # A live rig in front of a printed board.
+    options = from_mapping({"scene": "board", "live": True, "layout": {"scale": 0.125}, "encoding": encoding})
+    columns, rows = options.layout.projector_size
+    LiveScene(options, LiveProjector(np.zeros((rows, columns, 3), np.uint8))).pair(0)
