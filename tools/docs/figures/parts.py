@@ -77,7 +77,8 @@ def _mesh(axes: Any, xyz: NDArray[np.float32], color: NDArray[np.uint8]) -> None
     points, faces = xyz[known], faces_of(xyz)
     faces = faces[np.argsort(-points[faces][..., 2].mean(axis=1))]
     fill = np.clip(color[known][faces[:, 0]] / np.percentile(color, 99.5), 0, 1)
-    axes.add_collection(PolyCollection(points[faces][..., :2], facecolors=fill, edgecolors="#1d2733", linewidths=0.2))
+    corners = list(points[faces][..., :2])
+    axes.add_collection(PolyCollection(corners, facecolors=fill, edgecolors="#1d2733", linewidths=0.2))
     axes.autoscale_view()
     axes.invert_yaxis()
     axes.set(aspect="equal", xlabel="x, mm", ylabel="y, mm", title=f"mesh, of every {_EVERY}th pixel")
