@@ -126,11 +126,12 @@ def invoke(arguments: list[str]) -> int:
 
 
 def _report(error: Any) -> int:
-    """Print a usage error as one sentence with its command; return its exit status."""
+    """Print a usage error as one sentence with its command, or a group's help; return its exit status."""
+    if type(error).__name__ == "NoArgsIsHelpError":  # its message is the help of a group without a command
+        typer.echo(error.format_message(), err=True)
+        return int(error.exit_code)
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "fringed"
     message = " ".join(error.format_message().split()).rstrip(".").replace(". Did you", "; did you")
-    if not message:  # a group without a command: its help was printed
-        return int(error.exit_code)
     typer.echo(f"fringed: {message[:1].lower()}{message[1:]}; see `{command} -h`", err=True)
     return int(error.exit_code)

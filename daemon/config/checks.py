@@ -73,18 +73,18 @@ def _missing(data: dict[str, Any]) -> Problems:
 
 
 def _settings(data: dict[str, Any]) -> Problems:
-    settings, single = _section(data, "pipeline").get("settings"), True
+    settings, right = _section(data, "pipeline").get("settings"), {}
     for key, value in settings.items() if isinstance(settings, dict) else ():
         if not isinstance(value, bool | int | float):
-            single = False
             continue
         try:
             Settings().with_overrides({key: value})
         except PipelineError as error:
             yield ("pipeline", "settings", key), str(error)
-            single = False
+        else:
+            right[key] = value
     try:  # together: a region's limits, for example
-        Settings().with_overrides(settings if isinstance(settings, dict) and single else {})
+        Settings().with_overrides(right)
     except PipelineError as error:
         yield ("pipeline", "settings"), str(error)
 

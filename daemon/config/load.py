@@ -85,10 +85,13 @@ def _validated(source: Source, base_dir: Path, *, complete: bool) -> RigConfig |
     """Return the rig of a source; add its mistakes to the source's problems."""
     config: RigConfig | None = None
     if source.data is not None or not source.problems:
+        data = source.data
         try:
-            config = RigConfig.model_validate_json(json.dumps(expanded(source.data, base_dir)))
+            data = expanded(data, base_dir)
         except InputError as error:
             source.add_problem(("preset",), f"preset: {error}")
+        try:
+            config = RigConfig.model_validate_json(json.dumps(data))
         except ValidationError as error:
             _translate(error, source)
         if isinstance(source.data, dict):

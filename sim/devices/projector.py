@@ -52,7 +52,7 @@ class SimProjector:
         else:
             raise SettingRefused(
                 "projector: the simulated rig plays a loop rendered with its own pattern and cannot show another "
-                "image; use the pattern of its layout (sim.layout.periods) with its own calibration"
+                "image; a live one can: fringed demo --live, or simulation.live: true in rig.yaml"
             )
 
     def problem(self) -> str:

@@ -32,6 +32,13 @@ def test_an_unknown_command_is_a_usage_error() -> None:
     assert process.stderr == "fringed: there is no command 'staus'; did you mean 'status'?; see `fringed -h`\n"
 
 
+@pytest.mark.parametrize("line", [[], ["calibrate"]])
+def test_a_group_without_a_command_prints_its_help(line: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert entry.run(line) == 2
+    help_ = capsys.readouterr().err
+    assert help_.startswith(" ".join(["Usage: fringed", *line, "[OPTIONS] COMMAND"])) and help_.count("\n") > 10
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_the_short_option_for_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert entry.run([name, "-h"]) == 0

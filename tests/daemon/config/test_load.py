@@ -44,6 +44,17 @@ def test_all_mistakes_are_reported_at_once_each_with_its_position() -> None:
     assert "write 1000" in found[2] and "min_modulation" in found[3]
 
 
+def test_an_unknown_preset_and_a_wrong_setting_hide_no_other_mistake() -> None:
+    found = problems(
+        "cameras: {driver: sim}\n"
+        "pipeline: {threds: 2, settings: {fusion_clouds: 0, roi_x_min_mm: 10, roi_x_max_mm: -10}}\n"
+        "preset: nosuch\n"
+    )
+    places = [problem.split(": ")[0] for problem in found]
+    assert places == [f"rig.yaml:{p}" for p in ("2:12", "2:33", "2:49", "3:9")]
+    assert "did you mean 'threads'" in found[0] and "less than roi_x_max_mm" in found[1]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from sim.scene.named_scenes import build
-from tools.docs.figures import diagrams, plots
+from tools.docs.figures import diagrams, parts, plots
 from tools.docs.figures.measure import measure, objects
 from tools.docs.pages import DOCS
 
@@ -17,5 +17,6 @@ written = diagrams.draw(DOCS / "images")
 if not options.diagrams:
     written += plots.draw(measure(build("mixed"), scale=options.scale), DOCS / "images")
     written += plots.draw(measure(objects(), scale=options.scale), DOCS / "images", plots.HERO)
+    written += parts.draw(build("isolated"), DOCS / "images", scale=options.scale)
 for path in written:
     print(path)
