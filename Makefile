@@ -11,6 +11,8 @@ WORKERS ?= $(shell expr $$(nproc) + 1)
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 # Environment of the programs that `make bench` compares with.
 PEERS  := .bench-venv
+# Environment of Open3D, which reads exported files in `make test-all`: its thread library is not that of numba.
+OPEN3D := .open3d-venv
 
 # Also where the caller forbids it: without compiled modules every process of ours, and every test, starts by compiling.
 export PYTHONDONTWRITEBYTECODE :=
@@ -47,7 +49,7 @@ pytest: $(DEV)
 	NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadgroup --no-loadscope-reorder \
 		-m 'not long and not threads'
 
-test-all: test  ## `make test`, then the long tests (full size, many repeats, virtual machine), each with its time
+test-all: test $(OPEN3D)/.complete  ## `make test`, then the long tests (full size, many repeats, virtual machine), each with its time
 	tools/system-packages vm pcl
 	$(BIN)/python -m pytest -m long --verbose
 
@@ -67,6 +69,12 @@ bench: $(RIG) $(PEERS)/.complete  ## speed, scaling, accuracy, comparison with o
 $(PEERS)/.complete: benchmarks/peers.txt
 	test -x $(PEERS)/bin/python || $(PYTHON) -m venv $(PEERS)
 	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement benchmarks/peers.txt
+	@touch $@
+
+$(OPEN3D)/.complete:
+	tools/system-packages python
+	test -x $(OPEN3D)/bin/python || $(PYTHON) -m venv $(OPEN3D)
+	$(OPEN3D)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt open3d-cpu==0.20.0
 	@touch $@
 
 bench-calibration: $(RIG)  ## calibration from rendered images against the ground truth; a quarter of an hour
