@@ -71,10 +71,9 @@ $(PEERS)/.complete: benchmarks/peers.txt
 	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement benchmarks/peers.txt
 	@touch $@
 
-$(OPEN3D)/.complete:
-	tools/system-packages python
+$(OPEN3D)/.complete: constraints.txt | $(RIG)
 	test -x $(OPEN3D)/bin/python || $(PYTHON) -m venv $(OPEN3D)
-	$(OPEN3D)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt open3d-cpu==0.20.0
+	$(OPEN3D)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt open3d-cpu
 	@touch $@
 
 bench-calibration: $(RIG)  ## calibration from rendered images against the ground truth; a quarter of an hour

@@ -43,7 +43,7 @@ def test_open3d_reads_every_part_of_a_cloud(kind: str, parts: tuple[str, ...] | 
     if parts and "normals" in parts:
         expected["normals"] = np.nan_to_num(cloud.normals[known])
         expected |= {"sigma": cloud.sigma_mm[known][:, None], "interpolated": cloud.interpolated[known][:, None]}
-    assert set(expected) <= set(read)
+    assert set(read) == set(expected)
     for name, values in expected.items():
         np.testing.assert_array_equal(read[name], values, err_msg=name)
 
