@@ -16,14 +16,15 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-import pipeline.filter.border_model
+import pipeline.filter.border.border_model
 from benchmarks.reconstruction import rendered
 from benchmarks.reconstruction.cases import HARD, Case, random_case
 from benchmarks.trust import scaled
 from pipeline.common.settings import Settings
 from pipeline.filter import point_filter
-from pipeline.filter.border_model import FIGURES
-from pipeline.filter.border_test import border_figures, largest_odds
+from pipeline.filter.border.border_figures import border_figures
+from pipeline.filter.border.border_model import FIGURES
+from pipeline.filter.border.border_test import largest_odds
 from sim.evaluate.point_errors import distance_mm
 from sim.evaluate.score import WRONG_MM
 
@@ -64,13 +65,13 @@ def samples(case: Case, seed: int) -> tuple[Floats, Floats]:
 
 
 def quadratic(x: Floats) -> Floats:
-    """Constant, linear and quadratic terms, in the order of :func:`pipeline.filter.border_test.log_odds`."""
+    """Constant, linear and quadratic terms, in the order of :func:`pipeline.filter.border.border_test.log_odds`."""
     products = [x[:, k] * x[:, other] for k in range(FIGURES) for other in range(k + 1)]
     return np.column_stack([np.ones(len(x)), x, *products])
 
 
 def squares(x: Floats) -> Floats:
-    """Constant, linear and square terms, in the order of :func:`pipeline.filter.border_test.log_variance`."""
+    """Constant, linear and square terms, in the order of :func:`pipeline.filter.border.border_test.log_variance`."""
     return np.column_stack([np.ones(len(x)), x, x**2])
 
 
@@ -155,7 +156,7 @@ def main(given: list[str]) -> int:
             f"error / sigma {np.sqrt((r[~bad] ** 2).mean()):5.2f} -> {np.sqrt((after**2).mean()):5.2f}"
         )
     if options.write:
-        path = Path(pipeline.filter.border_model.__file__)
+        path = Path(pipeline.filter.border.border_model.__file__)
         head = path.read_text().split(_BEGIN)[0]
         path.write_text(
             head + _BEGIN + "\n" + "".join(_array(a) for a in (mean, scale, wrong, spread)) + ")  # fmt: skip\n"

@@ -175,7 +175,7 @@ def _take_after_take(rig: CampaignRig, random_: random.Random) -> None:  # noqa:
             rig.daemon.ask("record.start", name="campaign", timeout_s=20.0)
 
 
-CAMERA, WINDOW = "drivers.remote.child", "drivers.projector.child"
+CAMERA, WINDOW = "drivers.remote.child", "drivers.projector.window_process.child"
 SIGKILL, SIGTERM = signal.SIGKILL, signal.SIGTERM
 
 FAULTS = (

@@ -16,6 +16,7 @@ from daemon.common.stop_event import StopEvent
 from daemon.config.rig_config import RigConfig
 from daemon.live.compatibility import projector_problem
 from daemon.live.frame_path import FramePath, reserve_cpus
+from daemon.live.housekeeping import Housekeeping, guarded
 from daemon.live.items import Pair, Sink
 from daemon.live.status import State, Status
 from daemon.live.status_report import degraded_reasons, make_status
@@ -56,20 +57,18 @@ class Service:
         self.clock = clock = clock or SystemClock()
         self.processor_share = processor_share or ProcessorShare()
         self.session = session or str(uuid.uuid4())
-        self._on_status = on_status
+        publish = None if on_status is None else lambda: on_status(self.status().as_dict())
+        self._housekeeping = Housekeeping(self.processor_share, clock, publish)
         #: Called by the main loop ten times a second, from the start to the request to stop.
-        self.on_tick: list[Callable[[], None]] = []
+        self.on_tick = self._housekeeping.actions
         self._started_ns = clock.monotonic_ns()
         self._ready, self._paused, self._held = False, False, hold_cameras
         self._drops_starting: dict[str, int] | None = None
-        self._short_of_processors = False
         self.projector: ProjectorInfo | None = None
         self._stop = StopEvent()
-        self._namer = threads.ThreadNamer("fringed")
         self._switch = threading.Lock()
         self._cpus_before: frozenset[int] = frozenset()
         self._last_state: State | None = None
-        self._status_due_ns = 0
         self.path = path = FramePath(config, rig, sinks, camera_changed=self._note_state, clock=clock)
         self.router, self.pairer, self.worker, self.drops = path.router, path.pairer, path.worker, path.drops
         self.mode_controller, self.cameras = path.mode_controller, path.cameras
@@ -96,7 +95,7 @@ class Service:
             while not self._stop.wait(_TICK_S):
                 self.pairer.tick()
                 self._note_state()
-                self._housekeeping()
+                self._housekeeping.tick()
         finally:
             self.close()
 
@@ -184,13 +183,13 @@ class Service:
             camera.start()
         while not self._stop.is_set() and any(not camera.status.encoding for camera in self.cameras.values()):
             self._stop.wait(_TICK_S)
-            self._housekeeping()
+            self._housekeeping.tick()
         if self._stop.is_set():
             return
         self.mode_controller.release("start")
         started = self.worker.start(self.path.warm_reconstructor)
         while not started.done() and not self._stop.wait(_TICK_S):
-            self._housekeeping()
+            self._housekeeping.tick()
         if started.done():
             started.result()
             self._drops_starting = self.drops.snapshot()
@@ -201,32 +200,6 @@ class Service:
             self._note_state()
             for warning in self.status().warnings:
                 log.warning("%s", warning)
-
-    def _housekeeping(self) -> None:
-        """Run the tick actions, and once a second name new threads and publish the status."""
-        self.processor_share.tick()
-        for action in self.on_tick:
-            _guarded("a periodic action", action)
-        now_ns = self.clock.monotonic_ns()
-        if now_ns >= self._status_due_ns:
-            self._status_due_ns = now_ns + 1_000_000_000
-            self._namer.update()
-            self._note_processors()
-            self._publish_status()
-
-    def _note_processors(self) -> None:
-        """Log when other programs begin, or end, to take more than half of the processor time that is needed."""
-        warnings = self.processor_share.warnings()
-        if warnings and not self._short_of_processors:
-            log.warning("%s", warnings[0])
-        elif self._short_of_processors and not warnings:
-            log.info("the daemon gets the processor time again that it needs")
-        self._short_of_processors = bool(warnings)
-
-    def _publish_status(self) -> None:
-        on_status = self._on_status
-        if on_status is not None:
-            _guarded("publishing the status", lambda: on_status(self.status().as_dict()))
 
     def close(self) -> None:
         """Close devices and sinks; :meth:`run` does so at its end."""
@@ -244,11 +217,11 @@ class Service:
             log.error("the projector's driver hangs; its thread is left behind")
         if not self.worker.stop(_JOIN_S):
             log.error("the pipeline hangs; its thread is left behind")
-        self._publish_status()
+        self._housekeeping.publish_status()
         for name, sink in self.router.sinks.items():
-            _guarded(f"closing {name}", sink.close)
-        _guarded("closing the projector", self.rig.projector.close)
-        _guarded("closing the rig", self.rig.release)
+            guarded(f"closing {name}", sink.close)
+        guarded("closing the projector", self.rig.projector.close)
+        guarded("closing the rig", self.rig.release)
         if self._cpus_before:
             threads.pin(threads.ids(), self._cpus_before)
         log.info("stopped: %d pairs, %d clouds", self.pairer.pairs, self.worker.clouds)
@@ -258,11 +231,3 @@ class Service:
         if state is not self._last_state:
             self._last_state = state
             log.info("state: %s%s", state, f" ({'; '.join(reasons)})" if reasons else "")
-
-
-def _guarded(what: str, action: Callable[[], object]) -> None:
-    """Run an action; its failure must not keep the rest from being done."""
-    try:
-        action()
-    except Exception:
-        log.exception("%s failed", what)

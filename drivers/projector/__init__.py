@@ -9,11 +9,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.driver import OutputProjector
 from drivers.projector.external import ExternalProjector
-from drivers.projector.listing import outputs
 from drivers.projector.options import ExternalOptions, ProjectorOptions, read
+from drivers.projector.x11.detected_output import DetectedOutput
+from drivers.projector.x11.listing import outputs
 
 __all__ = ["DetectedOutput", "ExternalProjector", "OutputProjector", "open_external", "open_projector", "outputs"]
 

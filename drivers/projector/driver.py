@@ -12,7 +12,7 @@ from drivers.errors import DriverError, SettingRefused
 from drivers.projector.hooks import run_hooks
 from drivers.projector.messages import BYTES_LIMIT, SEQUENCE_LIMIT, Setup, Shown
 from drivers.projector.options import ProjectorOptions
-from drivers.projector.supervisor import Supervisor
+from drivers.projector.window_process.supervisor import Supervisor
 from drivers.protocols import Flip, ProjectorInfo
 
 

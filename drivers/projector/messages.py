@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.options import SIZE_LIMIT, ProjectorOptions
+from drivers.projector.x11.detected_output import DetectedOutput
 from drivers.protocols import FlipSource
 
 PACKET_LIMIT = 1 << 17

@@ -188,7 +188,7 @@ def drop_mixed_edges(band: int, label: Any, modulation: Any, share: Any, out: An
     At the border of a surface a pixel that sees only half of it, or half in shadow, mixes two phases.
 
     Args:
-        label: (H, W) uint16, of :meth:`pipeline.filter.connected_components.Surfaces.paint`.
+        label: (H, W) uint16, of :meth:`pipeline.filter.surfaces.connected_components.Surfaces.paint`.
         modulation: (H, W) uint8; share: float32, up to 1.
         out: (H, W) uint8, becomes 1 where a pixel of a surface stays, else 0.
     """

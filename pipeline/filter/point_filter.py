@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 
 from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
-from pipeline.filter import connected_components
-from pipeline.filter.border_model import MODEL
-from pipeline.filter.border_test import ROWS as BORDER_ROWS
-from pipeline.filter.border_test import Planes, border_test, largest_odds
-from pipeline.filter.component_test import component_test
-from pipeline.filter.connected_components import Surfaces
+from pipeline.filter.border.border_figures import Planes
+from pipeline.filter.border.border_model import MODEL
+from pipeline.filter.border.border_pixels import ROWS as BORDER_ROWS
+from pipeline.filter.border.border_test import border_test, largest_odds
+from pipeline.filter.border.surface_edges import edge_test
 from pipeline.filter.local_outliers import MOST_MEAN, ROWS, drop_mixed_edges, local_outliers, usual_mean
-from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
-from pipeline.filter.small_surfaces import reject_contradicted, reject_eroded, reject_narrow
-from pipeline.filter.surface_edges import edge_test
+from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Values
+from pipeline.filter.occlusion.uniqueness import Uniqueness
+from pipeline.filter.surfaces import connected_components
+from pipeline.filter.surfaces.component_test import component_test
+from pipeline.filter.surfaces.connected_components import Surfaces
+from pipeline.filter.surfaces.small_surfaces import reject_contradicted, reject_eroded, reject_narrow
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
-from pipeline.filter.uniqueness import Uniqueness
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, MatchResult, Points
 

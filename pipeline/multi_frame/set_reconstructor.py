@@ -13,7 +13,7 @@ from pipeline.attributes.normals import normals_of
 from pipeline.common.errors import CalibrationError, ImageError
 from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
-from pipeline.filter.kernel_warmup import warm_up_conflicts
+from pipeline.filter.occlusion.kernel_warmup import warm_up_conflicts
 from pipeline.multi_frame.color_sets import ColorSets
 from pipeline.multi_frame.gray_sets import GraySets
 from pipeline.multi_frame.image_roles import plan_of

@@ -15,7 +15,7 @@ from pipeline.attributes.normals import normals_of
 from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
-from pipeline.filter.kernel_warmup import warm_up_conflicts
+from pipeline.filter.occlusion.kernel_warmup import warm_up_conflicts
 from pipeline.filter.texture_agreement import Scale
 from pipeline.fringe_order.left_right_check import cross_check
 from pipeline.fringe_order.order_margins import Limits

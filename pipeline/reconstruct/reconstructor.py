@@ -18,7 +18,7 @@ from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import Decoder, PhaseMap
 from pipeline.decode.kernels.window_fit import weights_of
 from pipeline.decode.raw_image import checked, mosaic_of
-from pipeline.filter.kernel_warmup import warm_up_conflicts
+from pipeline.filter.occlusion.kernel_warmup import warm_up_conflicts
 from pipeline.filter.point_filter import phase_weight
 from pipeline.fringe_order.left_right_check import cross_check
 from pipeline.fringe_order.order_margins import Limits

@@ -11,7 +11,7 @@ import pytest
 
 @pytest.mark.parametrize(
     "call",
-    ["from drivers.projector.listing import outputs; outputs(':77')",
+    ["from drivers.projector.x11.listing import outputs; outputs(':77')",
      "from drivers.genicam.listing import discover; discover([])"],
     ids=["projector", "cameras"],
 )  # fmt: skip

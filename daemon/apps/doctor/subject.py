@@ -140,7 +140,7 @@ class Subject:
     @cached_property
     def refresh_hz(self) -> float:
         """Refresh rate of the projector, 0 if unknown."""
-        from drivers.projector.detected_output import find_output
+        from drivers.projector.x11.detected_output import find_output
 
         if self.projector is None:
             return 0.0

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from drivers.projector.detected_output import DetectedOutput, gamma_problem, mode_problem, output_problem
-from drivers.projector.edid import monitor_name
-from drivers.projector.randr import DOUBLE_SCAN, INTERLACE, ModeInfo, identity, is_identity, refresh_hz
+from drivers.projector.x11.detected_output import DetectedOutput, gamma_problem, mode_problem, output_problem
+from drivers.projector.x11.edid import monitor_name
+from drivers.projector.x11.randr import DOUBLE_SCAN, INTERLACE, ModeInfo, identity, is_identity, refresh_hz
 
 GOOD = DetectedOutput(
     name="HDMI-1",

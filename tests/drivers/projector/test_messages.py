@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from drivers.projector import messages
-from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.messages import Heartbeat, Opened, Setup, Show, Shown
 from drivers.projector.options import ProjectorOptions
+from drivers.projector.x11.detected_output import DetectedOutput
 
 Pair = tuple[socket.socket, socket.socket]
 

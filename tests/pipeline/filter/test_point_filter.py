@@ -10,13 +10,13 @@ import pytest
 
 from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
-from pipeline.filter import connected_components
-from pipeline.filter.connected_components import Surfaces
 from pipeline.filter.local_outliers import RADIUS, ROWS, drop_mixed_edges, local_outliers
-from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
+from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Values
+from pipeline.filter.occlusion.uniqueness import Uniqueness
 from pipeline.filter.point_filter import Gates
+from pipeline.filter.surfaces import connected_components
+from pipeline.filter.surfaces.connected_components import Surfaces
 from pipeline.filter.texture_agreement import Agreement, Scale
-from pipeline.filter.uniqueness import Uniqueness
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, TURN_STEPS, MatchResult, Points
 

@@ -18,8 +18,8 @@ from daemon.rig.calibration_file import CalibrationFile, created_at
 from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.errors import DriverError
 from drivers.genicam.options import Options as GenicamOptions
-from drivers.projector.detected_output import find_output
 from drivers.projector.options import ExternalOptions
+from drivers.projector.x11.detected_output import find_output
 from drivers.protocols import SIDES, ProjectorInfo
 from pipeline.common.errors import PipelineError
 from pipeline.pattern.color_fringe import ColorFringe

@@ -12,8 +12,14 @@ from daemon.apps.doctor.subject import Subject
 from daemon.common.run_program import run_program
 from drivers.child_process import interpreter
 from drivers.errors import DriverError
-from drivers.projector.detected_output import DetectedOutput, find_output, gamma_problem, mode_problem, output_problem
 from drivers.projector.options import ProjectorOptions, named_display
+from drivers.projector.x11.detected_output import (
+    DetectedOutput,
+    find_output,
+    gamma_problem,
+    mode_problem,
+    output_problem,
+)
 
 area = Area("display")
 

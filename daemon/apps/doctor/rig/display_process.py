@@ -32,7 +32,7 @@ class Screen(msgspec.Struct, frozen=True):
 
 def read(display: str) -> Screen:
     """Read the settings from the server."""
-    from drivers.projector.xlib import Connection, catch_errors, xext
+    from drivers.projector.x11.xlib import Connection, catch_errors, xext
 
     try:
         catch_errors()

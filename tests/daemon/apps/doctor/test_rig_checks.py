@@ -16,8 +16,8 @@ from daemon.apps.doctor.rig import calibration, display, exposure_timing, rig_fi
 from daemon.common.run_program import ProgramResult
 from daemon.rig.calibration_file import read_calibration, write_calibration
 from drivers.genicam import DetectedCamera
-from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.options import ProjectorOptions, read
+from drivers.projector.x11.detected_output import DetectedOutput
 from drivers.v4l2 import DetectedCamera as VideoFound
 from drivers.v4l2.device import SupportedFormat
 from sim.rig.layout import RigLayout

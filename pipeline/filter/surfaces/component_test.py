@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.parallel_for import parallel
-from pipeline.filter.connected_components import Surfaces
+from pipeline.filter.occlusion.uniqueness import PARTS
+from pipeline.filter.surfaces.connected_components import Surfaces
 from pipeline.filter.texture_agreement import LOSS, Scale
-from pipeline.filter.uniqueness import PARTS
 from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
 
 _NO = np.uint8(0)

@@ -11,8 +11,8 @@ from pyglet import gl
 from pyglet.libs.x11 import xlib as pyglet_xlib
 
 from drivers.errors import DriverError, SettingRefused
-from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.messages import BYTES_LIMIT
+from drivers.projector.x11.detected_output import DetectedOutput
 
 pyglet.options.shadow_window = False
 

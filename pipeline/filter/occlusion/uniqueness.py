@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
-from pipeline.filter import occlusion_conflicts
-from pipeline.filter.occlusion_conflicts import TILE_COLUMNS, TILE_ROWS
+from pipeline.filter.occlusion import occlusion_conflicts
+from pipeline.filter.occlusion.occlusion_conflicts import TILE_COLUMNS, TILE_ROWS
 from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS
 
 PARTS = 8

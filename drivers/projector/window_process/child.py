@@ -1,4 +1,4 @@
-"""The process that owns the projector's window. Started by :mod:`drivers.projector.supervisor`, never by hand.
+"""The process that owns the projector's window. Started by the driver's supervisor, never by hand.
 
 It ends with its socket, its parent, the X server or the window; a watchdog ends it when a graphics driver hangs.
 """
@@ -27,9 +27,9 @@ from drivers.projector.messages import (
     send,
     unpack_images,
 )
-from drivers.projector.output_setup import OutputSetup
-from drivers.projector.present import VBlankClock
-from drivers.projector.xlib import Connection, catch_errors
+from drivers.projector.window_process.output_setup import OutputSetup
+from drivers.projector.x11.present import VBlankClock
+from drivers.projector.x11.xlib import Connection, catch_errors
 
 HEARTBEAT_S = 1.0
 WATCHDOG_S = 30.0
@@ -69,7 +69,7 @@ class Child:
         return 0
 
     def _open(self, setup: Setup) -> None:
-        from drivers.projector.window import PatternWindow
+        from drivers.projector.window_process.window import PatternWindow
 
         catch_errors(self._lost)  # after pyglet, which installs its own handlers
         self._x = Connection(setup.display)
@@ -85,7 +85,7 @@ class Child:
         send(self._sock, Opened(output=prepared.output, notes=notes, gamma_before=prepared.gamma_before))
 
     def _start_screen(self, display: str) -> None:
-        from drivers.projector.screen import Screen
+        from drivers.projector.window_process.screen import Screen
 
         try:
             self._clock = VBlankClock(display, self._window.ids[1])

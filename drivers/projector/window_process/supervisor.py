@@ -34,7 +34,7 @@ from drivers.projector.messages import (
     receive_from_window,
     send,
 )
-from drivers.projector.process import WindowProcess
+from drivers.projector.window_process.process import WindowProcess
 
 log = logging.getLogger("fringed.projector")
 

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from pipeline.common.parallel_for import blocks
-from pipeline.filter.border_model import FIGURES, MODEL
-from pipeline.filter.border_test import ROWS, Planes, border_figures, border_of_row, border_test, largest_odds
+from pipeline.filter.border.border_figures import Planes, border_figures
+from pipeline.filter.border.border_model import FIGURES, MODEL
+from pipeline.filter.border.border_pixels import ROWS, border_of_row
+from pipeline.filter.border.border_test import border_test, largest_odds
 from pipeline.filter.texture_agreement import LOSS
 from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.filter.border.surface_edges import edge_test
 from pipeline.filter.point_filter import EDGE_LOSS, HIGH, LOSS_PER_NEIGHBOUR, MISFIT_OF
-from pipeline.filter.surface_edges import edge_test
 from pipeline.filter.texture_agreement import LOSS
 
 

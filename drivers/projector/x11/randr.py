@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import DriverError
-from drivers.projector.detected_output import DetectedOutput
-from drivers.projector.edid import monitor_name
-from drivers.projector.xlib import XID, Connection, load
+from drivers.projector.x11.detected_output import DetectedOutput
+from drivers.projector.x11.edid import monitor_name
+from drivers.projector.x11.xlib import XID, Connection, load
 
 CONNECTED = 0
 INTERLACE, DOUBLE_SCAN = 1 << 4, 1 << 5

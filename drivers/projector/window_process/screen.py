@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from drivers.errors import DriverError
 from drivers.projector.messages import Show, Shown
-from drivers.projector.present import VBlank, VBlankClock
-from drivers.projector.window import PatternWindow
+from drivers.projector.window_process.window import PatternWindow
+from drivers.projector.x11.present import VBlank, VBlankClock
 
 VBLANK_S = 1.0
 SWAP_S = 0.05

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.filter import connected_components
-from pipeline.filter.component_test import component_test, log_likelihood_ratio
-from pipeline.filter.connected_components import Surfaces
 from pipeline.filter.point_filter import phase_weight
+from pipeline.filter.surfaces import connected_components
+from pipeline.filter.surfaces.component_test import component_test, log_likelihood_ratio
+from pipeline.filter.surfaces.connected_components import Surfaces
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, Scale
 from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
 

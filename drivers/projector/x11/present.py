@@ -16,7 +16,7 @@ from functools import cache
 from typing import Any
 
 from drivers.errors import DriverError
-from drivers.projector.xlib import load
+from drivers.projector.x11.xlib import load
 
 KIND_PIXMAP, KIND_MSC = 0, 1
 COMPLETE_NOTIFY = 1

@@ -1,16 +1,12 @@
-"""Points at the border of a surface: rejected where they are probably wrong, and given the sigma that they have.
+"""Fifteen figures that compare a pixel at a border with the pixels of its own surface around it.
 
-A pixel at a border sees two surfaces, or is fitted from a window that straddles them. Fifteen figures compare it with
-the pixels of its own surface around it: neighbours, texture, phase against the projector, modulation, brightness, and
-its distance from their plane. A quadratic logistic regression of these gives the probability that the point is wrong,
-a linear one of the logarithm the variance of its error. Depths are counted in fringe orders, so that neither the size
-of the rig nor its units matter. ``python -m benchmarks.border_model`` fits the coefficients in
-:mod:`pipeline.filter.border_model` to simulated images.
+Neighbours, texture, phase against the projector, modulation, brightness, and the distance from their plane. Depths are
+counted in fringe orders, so that neither the size of the rig nor its units matter.
 """
 
 from __future__ import annotations
 
-from math import exp, log, sqrt
+from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,19 +14,11 @@ import numpy as np
 from pipeline.common.jit import inline, serial
 from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import TILE
-from pipeline.filter.border_model import FIGURES
+from pipeline.filter.border.border_model import FIGURES
+from pipeline.filter.border.border_pixels import REACH, ROWS, distance_right, pixels_of_band
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, MISFIT_STEPS
-from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP
+from pipeline.match.match_result import RESIDUAL_STEP
 
-REACH = 2
-"""Half width of the neighbourhood that is compared, pixels."""
-RIGHT_STEPS = 3 * PIXEL_STEPS // 2
-"""Distance in the right image up to which a pixel counts as near the border, whose window may straddle it there."""
-FARTHEST = 6
-"""Farthest such pixel in the left image, pixels."""
-ROWS = 8
-"""Rows that share their scratch arrays."""
-_NO = np.uint8(0)
 # Slots of a tile: one neighbour of every pixel, sums over the neighbours of its surface, and the plane through them.
 SAME, LOSS_OF, MODULATION, MEAN, FIRST, SECOND, DEPTH = range(7)
 OWN_DEPTH, N, BESIDE, SUMS = 7, 8, 9, 10
@@ -38,7 +26,6 @@ SX, SY, SXX, SXY, SYY, SZ, SXZ, SYZ, SZZ = range(15, 24)
 OFF, SLOPE, RMS = range(24, 27)
 BESIDE_RIGHT = 27
 SLOTS = 28
-_LARGEST_LOG = np.float32(9.0)
 
 
 class Planes(NamedTuple):
@@ -61,11 +48,6 @@ class Planes(NamedTuple):
     mean: Any
     xyz: Any
     sigma: Any
-
-
-def largest_odds(probability: float) -> np.float32:
-    """The logarithm of the odds of a probability 0..1; infinite at 1, where nothing is rejected."""
-    return np.float32(log(probability / (1 - probability)) if probability < 1 else np.inf)
 
 
 @serial
@@ -171,7 +153,10 @@ def figures(p: Any, losses: Any, stride: int, per_order: Any, at: Any, t: Any, o
         t[SAME * TILE + m], t[DEPTH * TILE + m] = f(flat.misfit[k]), p.sigma[stride * i, stride * j]
         t[LOSS_OF * TILE + m], t[MODULATION * TILE + m] = f(flat.deviation[k]), f(flat.modulation[k])
         t[MEAN * TILE + m], t[FIRST * TILE + m] = f(flat.mean[k]), f(flat.residual_normalised[k])
-        t[SECOND * TILE + m], t[BESIDE_RIGHT * TILE + m] = f(flat.residual[k]), _distance(p.label[i], p.right_u[i], j)
+        t[SECOND * TILE + m], t[BESIDE_RIGHT * TILE + m] = (
+            f(flat.residual[k]),
+            distance_right(p.label[i], p.right_u[i], j),
+        )
     _compare(t, per_order, one / f(stride), out)
 
 
@@ -198,147 +183,13 @@ def _compare(t: Any, per_order: Any, per_stride: Any, out: Any) -> None:
         out[14, m] = t[BESIDE_RIGHT * TILE + m]
 
 
-@serial
-def _distance(label: Any, right_u: Any, j: int) -> Any:
-    """Distance to the border along the row in the right image, in :data:`RIGHT_STEPS`, at most 2."""
-    k, width, least = label[j], label.shape[0], 2 * RIGHT_STEPS
-    for step in (-1, 1):
-        at = j
-        for _ in range(FARTHEST):
-            if at + step < 0 or at + step >= width or label[at + step] != k:
-                least = min(least, int(abs(np.int32(right_u[at]) - np.int32(right_u[j]))))
-                break
-            at += step
-    return np.float32(least) * np.float32(1 / RIGHT_STEPS)
-
-
-@serial
-def border_of_row(label: Any, right_u: Any, i: int, out: Any) -> None:
-    """1 where the border of the pixel's surface lies within its reach, or near along the row in the right image.
-
-    Args:
-        label: (H, W) uint16; right_u: (H, W) uint16, steps; out: (W,) uint8.
-    """
-    height, width = label.shape
-    out[:] = _NO
-    if i < REACH or i >= height - REACH:
-        return
-    here, inner = label[i], out[REACH : width - REACH]
-    for a in range(-REACH, REACH + 1):
-        for b in range(5):
-            other = label[i + a, b : b + width - 2 * REACH]
-            k = here[REACH : width - REACH]
-            for j in range(inner.shape[0]):
-                inner[j] |= np.uint8(other[j] != k[j])
-    u = right_u[i]
-    for d in range(REACH + 1, FARTHEST + 1):
-        near, far, edge = here[: width - d], here[d:], here[d - 1 : width - 1]
-        first, last = u[: width - d], u[d - 1 : width - 1]
-        ahead = out[: width - d]
-        for j in range(width - d):
-            close = np.uint16(last[j] - first[j] + RIGHT_STEPS) <= np.uint16(2 * RIGHT_STEPS)
-            ahead[j] |= np.uint8((far[j] != near[j]) & (edge[j] == near[j]) & close)
-        near, far, edge = here[d:], here[: width - d], here[1 : width - d + 1]
-        first, last = u[d:], u[1 : width - d + 1]
-        behind = out[d:]
-        for j in range(width - d):
-            close = np.uint16(last[j] - first[j] + RIGHT_STEPS) <= np.uint16(2 * RIGHT_STEPS)
-            behind[j] |= np.uint8((far[j] != near[j]) & (edge[j] == near[j]) & close)
-    for j in range(width):
-        out[j] = out[j] if here[j] != 0 else _NO
-    out[:REACH], out[width - REACH :] = _NO, _NO
-
-
-@serial
-def log_odds(x: Any, wrong: Any, out: Any) -> None:
-    """Logarithms of the odds that points are wrong, (TILE,).
-
-    Args:
-        x: (n, TILE) standardised figures; wrong: (1 + n + n (n + 1) / 2,) coefficients.
-    """
-    inner = np.empty(TILE, np.float32)
-    out[:] = wrong[0]
-    at = 1 + FIGURES
-    for k in range(FIGURES):
-        inner[:] = wrong[1 + k]
-        for other in range(k + 1):
-            w = wrong[at]
-            at += 1
-            for m in range(TILE):
-                inner[m] += w * x[other, m]
-        for m in range(TILE):
-            out[m] += x[k, m] * inner[m]
-
-
-@serial
-def log_variance(x: Any, spread: Any, out: Any) -> None:
-    """Logarithms of the variance in units of that of the noise, (TILE,); ``spread``: (1 + 2 n,) coefficients."""
-    out[:] = spread[0]
-    for k in range(FIGURES):
-        linear, square = spread[1 + k], spread[1 + FIGURES + k]
-        for m in range(TILE):
-            out[m] += x[k, m] * (linear + square * x[k, m])
-
-
-@serial
-def _pixels_of_band(label: Any, right_u: Any, band: int, at: Any) -> int:
-    """Border pixels of a band into ``at`` (ROWS W + 1, 2) int32, rows and columns; their number."""
-    height, width = label.shape
-    border = np.empty(width, np.uint8)
-    n = 0
-    for i in range(band * ROWS, min((band + 1) * ROWS, height)):
-        border_of_row(label, right_u, i, border)
-        for j in range(width):
-            at[n, 0], at[n, 1] = i, j
-            n += border[j]
-    return n
-
-
-@parallel
-def border_test(
-    band: int, planes: Any, losses: Any, stride: int, per_order: Any, model: Any, limit: Any, valid: Any, misfit: Any,
-    sigma: Any,
-) -> None:  # fmt: skip
-    """Reject border points that are probably wrong, and give the others the standard deviation of their error.
-
-    Args:
-        band: number of :data:`ROWS` rows; planes: :class:`Planes`; losses: by deviation.
-        per_order: change of 1 / z from one order to the next, 1 / mm.
-        model: :class:`pipeline.filter.border_model.BorderModel`; limit: log odds above which a point is rejected.
-        valid: (H, W) uint8, changed; misfit: (H, W) uint8, set to 0 where ``sigma`` (stride H, stride W) is widened.
-    """
-    at = np.empty((ROWS * planes.label.shape[1] + 1, 2), np.int32)
-    t, x = np.empty(SLOTS * TILE, np.float32), np.empty((FIGURES, TILE), np.float32)
-    odds, more = np.empty(TILE, np.float32), np.empty(TILE, np.float32)
-    n = _pixels_of_band(planes.label, planes.right_u, band, at)
-    for start in range(0, n, TILE):
-        some = at[start : min(start + TILE, n)]
-        figures(planes, losses, stride, per_order, some, t, x)
-        for k in range(FIGURES):
-            mean, scale = model.mean[k], model.scale[k]
-            for m in range(TILE):
-                x[k, m] = (x[k, m] - mean) * scale
-        log_odds(x, model.wrong, odds)
-        log_variance(x, model.spread, more)
-        for m in range(some.shape[0]):
-            i, j = some[m, 0], some[m, 1]
-            if valid[i, j] == 0:
-                continue
-            if odds[m] > limit:
-                valid[i, j] = _NO
-                continue
-            misfit[i, j] = _NO
-            factor = exp(np.float32(0.5) * min(max(more[m], np.float32(0.0)), _LARGEST_LOG))
-            sigma[stride * i, stride * j] *= np.float32(factor)
-
-
 @parallel
 def border_figures(band: int, planes: Any, losses: Any, stride: int, per_order: Any, out: Any) -> None:
     """The figures of every border pixel of a band, (H, W, FIGURES) float32, NaN elsewhere, to fit the model to."""
     at = np.empty((ROWS * planes.label.shape[1] + 1, 2), np.int32)
     t, x = np.empty(SLOTS * TILE, np.float32), np.empty((FIGURES, TILE), np.float32)
     out[band * ROWS : (band + 1) * ROWS] = np.nan
-    n = _pixels_of_band(planes.label, planes.right_u, band, at)
+    n = pixels_of_band(planes.label, planes.right_u, band, at)
     for start in range(0, n, TILE):
         some = at[start : min(start + TILE, n)]
         figures(planes, losses, stride, per_order, some, t, x)

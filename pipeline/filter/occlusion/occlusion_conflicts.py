@@ -74,7 +74,7 @@ def list_claims(
     Args:
         valid: (H, W) uint8; label: (H, W) uint16, one more than the surface; depth: (H, W) mm.
         u, v: (H, W) uint16, pixel in the other device of this width and height; values: :class:`Values`.
-        box, number: of :mod:`pipeline.filter.uniqueness`.
+        box, number: of :mod:`pipeline.filter.occlusion.uniqueness`.
         entries, pixels, places, surfaces, depths, all_values: the arrays of :class:`Claims`, written.
     """
     rows, columns = valid.shape

@@ -9,11 +9,11 @@ import msgspec
 
 from drivers.child_process import environment, interpreter
 from drivers.errors import DriverError
-from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.options import named_display
+from drivers.projector.x11.detected_output import DetectedOutput
 
 TIMEOUT_S = 15.0
-MODULE = "drivers.projector.listing"
+MODULE = "drivers.projector.x11.listing"
 
 
 class Listing(msgspec.Struct):
@@ -56,8 +56,8 @@ def outputs(display: str = "") -> list[DetectedOutput]:
 
 def read(display: str) -> Listing:
     """List the outputs in this process."""
-    from drivers.projector.randr import Randr
-    from drivers.projector.xlib import Connection, catch_errors
+    from drivers.projector.x11.randr import Randr
+    from drivers.projector.x11.xlib import Connection, catch_errors
 
     try:
         catch_errors()

@@ -1,7 +1,7 @@
 """The parts of libX11 and libXext that the projector needs, by ctypes; X errors become exceptions.
 
 Xlib ends the process on the first error by default, therefore this module is only used in a process of its own
-(:mod:`drivers.projector.child`, :mod:`drivers.projector.listing`).
+(:mod:`drivers.projector.window_process.child`, :mod:`drivers.projector.x11.listing`).
 """
 
 from __future__ import annotations

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import DriverError, SettingRefused
-from drivers.projector import xlib
-from drivers.projector.detected_output import DetectedOutput, gamma_problem, mode_problem, output_problem
 from drivers.projector.options import ProjectorOptions
-from drivers.projector.randr import Randr, identity
-from drivers.projector.xlib import Connection
+from drivers.projector.x11 import xlib
+from drivers.projector.x11.detected_output import DetectedOutput, gamma_problem, mode_problem, output_problem
+from drivers.projector.x11.randr import Randr, identity
+from drivers.projector.x11.xlib import Connection
 
 GAMMA_BYTES_LIMIT = 3 * 2 * 4096
 """Larger tables are not passed on, so they are not restored when this process is killed."""

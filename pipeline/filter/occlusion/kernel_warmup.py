@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
-from pipeline.filter.uniqueness import Uniqueness
+from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Values
+from pipeline.filter.occlusion.uniqueness import Uniqueness
 from pipeline.match.match_result import PIXEL_STEPS, Points
 
 _SIDE = 16

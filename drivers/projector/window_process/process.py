@@ -9,7 +9,7 @@ import subprocess
 
 from drivers.child_process import end, environment, interpreter
 
-MODULE = "drivers.projector.child"
+MODULE = "drivers.projector.window_process.child"
 KEPT_BYTES = 2000
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.filter.connected_components import Surfaces
-from pipeline.filter.small_surfaces import (
+from pipeline.filter.surfaces.connected_components import Surfaces
+from pipeline.filter.surfaces.small_surfaces import (
     LARGEST_LOSS,
     LEAST_WIDTH,
     MOST_CONTRADICTED,

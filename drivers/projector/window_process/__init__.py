@@ -1,0 +1,1 @@
+"""The process that owns the projector's window, and its supervision by the driver."""

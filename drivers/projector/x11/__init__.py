@@ -1,0 +1,1 @@
+"""The X display by ctypes: connection, outputs, modes, gamma tables, vertical blanks."""

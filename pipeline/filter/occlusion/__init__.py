@@ -1,0 +1,1 @@
+"""Occlusion: of two surfaces that claim one pixel of another device, one is rejected."""

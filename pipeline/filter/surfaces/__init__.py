@@ -1,0 +1,1 @@
+"""Connected surfaces, tested as a whole: texture, projector, size, surroundings."""
