@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterable
 
 from daemon.common.counters import Counters, Rate
 from daemon.config.rig_config import Pairing
-from daemon.live.acquisition.pairer import RECORDED_UNPAIRED, Event, Lost, Pairer, PairingSettings, Resynced
+from daemon.live.acquisition.pairer import Pairer
+from daemon.live.acquisition.pairing_events import RECORDED_UNPAIRED, Event, Lost, PairingSettings, Resynced
 from daemon.live.items import Pair
 from drivers.protocols import Clock, Frame, Side
 

@@ -18,109 +18,23 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from itertools import islice
 
+from daemon.live.acquisition.pairing_events import (
+    RECORDED_UNPAIRED,
+    Event,
+    FrameOutcome,
+    Lost,
+    PairingSettings,
+    Resynced,
+)
 from daemon.live.acquisition.trigger_count import TriggerCount
+from daemon.live.acquisition.waiting_frames import CameraHistory, WaitingFrame
 from daemon.live.items import Pair
 from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame, Side
 
 _HALF = TRIGGER_MODULUS // 2
 _CONTRADICTION_WINDOW = 16
-
-
-class FrameOutcome(StrEnum):
-    """Outcome of a frame; every frame that is received has exactly one."""
-
-    PAIRED = "paired"
-    PARTNER_MISSING = "partner_missing"
-    LATE = "late"
-    DUPLICATE = "duplicate"
-    TRIGGER_MISMATCH = "trigger_mismatch"
-    TIMESTAMP_MISMATCH = "timestamp_mismatch"
-    AMBIGUOUS = "ambiguous"
-    STALE = "stale"
-    BEFORE_SYNC = "before_sync"
-    ROOM_FULL = "room_full"
-    STOPPED = "stopped"
-
-
-RECORDED_UNPAIRED = frozenset(
-    {FrameOutcome.PARTNER_MISSING, FrameOutcome.LATE, FrameOutcome.ROOM_FULL, FrameOutcome.BEFORE_SYNC}
-)
-"""Outcomes of frames whose partner is missing; only the recorder takes these frames."""
-
-
-@dataclass(frozen=True, slots=True)
-class PairingSettings:
-    """Limits of the pairing.
-
-    Args:
-        tolerance_ns: how far the two exposures' starts may lie apart.
-        max_wait_ns: how long a frame waits for its partner.
-        stale_ns: a frame that is older than this on arrival is rejected.
-        resync_after: observations in a row of another shift between the counters that confirm it.
-        capacity: frames waiting, each side; history: frames remembered after their outcome, each side.
-    """
-
-    tolerance_ns: int = 2_000_000
-    max_wait_ns: int = 500_000_000
-    stale_ns: int = 5_000_000_000
-    resync_after: int = 3
-    capacity: int = 8
-    history: int = 256
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Lost:
-    """A frame that will never be in a pair, and why; it carries its number on the common count."""
-
-    frame: Frame
-    outcome: FrameOutcome
-
-
-@dataclass(frozen=True, slots=True)
-class Resynced:
-    """The shift between the two counters changed: ``right number - left number`` is now ``shift``."""
-
-    shift: int
-
-
-Event = Pair | Lost | Resynced
-
-
-@dataclass(slots=True, eq=False)
-class _Entry:
-    frame: Frame
-    number: int
-    arrived_ns: int
-    same_time: bool = False
-    same_number: bool = False
-    agreed: bool = False
-    ambiguous: bool = False
-
-    @property
-    def numbered(self) -> Frame:
-        """The frame with its number on the common count."""
-        return self.frame if self.frame.trigger == self.number else replace(self.frame, trigger=self.number)
-
-
-@dataclass(slots=True, eq=False)
-class _Camera:
-    """One side's waiting frames, its history, and what to add to its trigger numbers."""
-
-    shift: int = 0
-    waiting: list[_Entry] = field(default_factory=list)
-    history: deque[tuple[int, int]] = field(default_factory=deque)
-    expired: deque[tuple[int, int]] = field(default_factory=deque)
-    last_paired: int | None = None
-
-    def move(self, by: int) -> None:
-        """Shift the count from here on, waiting frames included."""
-        self.shift = (self.shift + by) % TRIGGER_MODULUS
-        for entry in self.waiting:
-            entry.number = (entry.number + by) % TRIGGER_MODULUS
 
 
 class Pairer:
@@ -134,8 +48,10 @@ class Pairer:
         self.settings = settings or PairingSettings()
         self.outcomes: dict[Side, Counter[FrameOutcome]] = {side: Counter() for side in SIDES}
         self.received: Counter[Side] = Counter()
-        self._cameras: dict[Side, _Camera] = {
-            side: _Camera(history=deque(maxlen=self.settings.history), expired=deque(maxlen=self.settings.history))
+        self._cameras: dict[Side, CameraHistory] = {
+            side: CameraHistory(
+                history=deque(maxlen=self.settings.history), expired=deque(maxlen=self.settings.history)
+            )
             for side in SIDES
         }
         self._count = TriggerCount()
@@ -166,7 +82,7 @@ class Pairer:
         events = self.tick(frame.t_host_ns if now_ns is None else now_ns)
         rejected = self._rejection(frame)
         own = self._cameras[frame.side]
-        entry = _Entry(frame, (frame.trigger + own.shift) % TRIGGER_MODULUS, self._now_ns)
+        entry = WaitingFrame(frame, (frame.trigger + own.shift) % TRIGGER_MODULUS, self._now_ns)
         if rejected is not None:
             return [*events, self._lost(entry, rejected)]
         self._mark_ambiguous(own, entry)
@@ -213,22 +129,22 @@ class Pairer:
         again = any(number == frame.trigger and self._same_time(t_ns, frame.t_exposure_ns) for number, t_ns in history)
         return FrameOutcome.DUPLICATE if again else None
 
-    def _mark_ambiguous(self, camera: _Camera, entry: _Entry) -> None:
+    def _mark_ambiguous(self, camera: CameraHistory, entry: WaitingFrame) -> None:
         recent = islice(reversed(camera.history), _CONTRADICTION_WINDOW)
         entry.ambiguous = any(self._contradict(entry, number, t_ns) for number, t_ns in recent)
         for other in camera.waiting:
             other.ambiguous |= self._contradict(entry, other.frame.trigger, other.frame.t_exposure_ns)
 
-    def _contradict(self, entry: _Entry, number: int, t_ns: int) -> bool:
+    def _contradict(self, entry: WaitingFrame, number: int, t_ns: int) -> bool:
         return (number == entry.frame.trigger) != self._same_time(t_ns, entry.frame.t_exposure_ns)
 
     def _same_time(self, a_ns: int, b_ns: int) -> bool:
         return abs(a_ns - b_ns) <= self.settings.tolerance_ns
 
-    def _opposite(self, side: Side) -> _Camera:
+    def _opposite(self, side: Side) -> CameraHistory:
         return self._cameras["right" if side == "left" else "left"]
 
-    def _partner(self, entry: _Entry) -> _Entry | None:
+    def _partner(self, entry: WaitingFrame) -> WaitingFrame | None:
         for other in self._opposite(entry.frame.side).waiting:
             if other.ambiguous or entry.ambiguous:
                 continue
@@ -236,12 +152,12 @@ class Pairer:
                 return other
         return None
 
-    def _is_late(self, entry: _Entry) -> bool:
+    def _is_late(self, entry: WaitingFrame) -> bool:
         expired = self._opposite(entry.frame.side).expired
         t_exposure_ns = entry.frame.t_exposure_ns
         return any(number == entry.number and self._same_time(t_ns, t_exposure_ns) for number, t_ns in expired)
 
-    def _pair(self, entry: _Entry, partner: _Entry) -> Pair:
+    def _pair(self, entry: WaitingFrame, partner: WaitingFrame) -> Pair:
         self._opposite(entry.frame.side).waiting.remove(partner)
         self._synced, self._observations = True, 0
         self._continue_count(entry, partner)
@@ -254,7 +170,7 @@ class Pairer:
             frames[side] = member.numbered
         return Pair(frames["left"], frames["right"])
 
-    def _continue_count(self, entry: _Entry, partner: _Entry) -> None:
+    def _continue_count(self, entry: WaitingFrame, partner: WaitingFrame) -> None:
         """After a restart of both counters: move all numbers behind those that were assigned."""
         waiting = [other.number for camera in self._cameras.values() for other in camera.waiting]
         move = self._count.move(entry.number, entry.frame.t_exposure_ns, waiting)
@@ -266,7 +182,7 @@ class Pairer:
         for member in (entry, partner):
             member.number = (member.number + move) % TRIGGER_MODULUS
 
-    def _compare(self, entry: _Entry) -> list[Event]:
+    def _compare(self, entry: WaitingFrame) -> list[Event]:
         """Note which waiting frames agree; enough equal observations in a row confirm the shift."""
         together = []
         for other in self._opposite(entry.frame.side).waiting:
@@ -282,7 +198,7 @@ class Pairer:
         left, right = (entry, together[0]) if entry.frame.side == "left" else (together[0], entry)
         return self._observe(left, right)
 
-    def _observe(self, left: _Entry, right: _Entry) -> list[Event]:
+    def _observe(self, left: WaitingFrame, right: WaitingFrame) -> list[Event]:
         shift = (right.number - left.number) % TRIGGER_MODULUS
         self._observations = self._observations + 1 if shift == self._observed_shift else 1
         self._observed_shift = shift
@@ -294,7 +210,7 @@ class Pairer:
         self._confirmed = True
         return [*adopted, *self._pair_waiting()]
 
-    def _adopt_shift(self, left: _Entry, right: _Entry, shift: int) -> list[Event]:
+    def _adopt_shift(self, left: WaitingFrame, right: WaitingFrame, shift: int) -> list[Event]:
         """Adopt the new shift: move the numbers of the side that jumped."""
         only_left = self._fell_back("left", left) and not self._fell_back("right", right)
         jumped: Side = "left" if only_left else "right"
@@ -305,7 +221,7 @@ class Pairer:
         self._observations = self._observed_shift = 0
         return [Resynced(self.shift)]
 
-    def _fell_back(self, side: Side, entry: _Entry) -> bool:
+    def _fell_back(self, side: Side, entry: WaitingFrame) -> bool:
         last = self._cameras[side].last_paired
         return last is not None and not 0 < (entry.number - last) % TRIGGER_MODULUS < _HALF
 
@@ -316,7 +232,7 @@ class Pairer:
                 self._cameras["left"].waiting.remove(entry)
                 yield self._pair(entry, partner)
 
-    def _expire(self, camera: _Camera, entry: _Entry, otherwise: FrameOutcome) -> Lost:
+    def _expire(self, camera: CameraHistory, entry: WaitingFrame, otherwise: FrameOutcome) -> Lost:
         camera.waiting.remove(entry)
         camera.expired.append((entry.number, entry.frame.t_exposure_ns))
         if entry.agreed:
@@ -329,7 +245,7 @@ class Pairer:
             outcome = otherwise if self._synced else FrameOutcome.BEFORE_SYNC
         return self._lost(entry, outcome)
 
-    def _lost(self, entry: _Entry, outcome: FrameOutcome) -> Lost:
+    def _lost(self, entry: WaitingFrame, outcome: FrameOutcome) -> Lost:
         self.outcomes[entry.frame.side][outcome] += 1
         if outcome in RECORDED_UNPAIRED:
             self._count.assigned(entry.number, entry.frame.t_exposure_ns, paired=False)

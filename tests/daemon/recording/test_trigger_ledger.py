@@ -10,7 +10,7 @@ import pytest
 from daemon.common.clock import SystemClock
 from daemon.common.counters import Counters
 from daemon.live.acquisition.locked_pairer import LockedPairer
-from daemon.live.acquisition.pairer import FrameOutcome, PairingSettings
+from daemon.live.acquisition.pairing_events import FrameOutcome, PairingSettings
 from daemon.live.items import Item, Pair, UnpairedFrame
 from daemon.recording.read.take_reader import TakeReader
 from drivers.protocols import Frame, Side

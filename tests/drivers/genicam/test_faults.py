@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon.live.acquisition.pairer import Pairer, PairingSettings
+from daemon.live.acquisition.pairer import Pairer
+from daemon.live.acquisition.pairing_events import PairingSettings
 from daemon.live.items import Pair
 from drivers.errors import DeviceLost
 from drivers.protocols import Camera, Frame

@@ -10,7 +10,8 @@ import pytest
 
 from drivers.projector.x11.detected_output import DetectedOutput, gamma_problem, mode_problem, output_problem
 from drivers.projector.x11.edid import monitor_name
-from drivers.projector.x11.randr import DOUBLE_SCAN, INTERLACE, ModeInfo, identity, is_identity, refresh_hz
+from drivers.projector.x11.randr import DOUBLE_SCAN, INTERLACE, identity, is_identity, refresh_hz
+from drivers.projector.x11.randr_structures import ModeInfo
 
 GOOD = DetectedOutput(
     name="HDMI-1",

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from daemon.live.acquisition.pairer import Lost, Pairer, PairingSettings
+from daemon.live.acquisition.pairer import Pairer
+from daemon.live.acquisition.pairing_events import Lost, PairingSettings
 from daemon.live.items import Pair
 from drivers.genicam import open_camera
 from drivers.projector import OutputProjector, open_projector

@@ -11,7 +11,7 @@ import pytest
 from daemon.common.clock import SystemClock
 from daemon.common.counters import Counters
 from daemon.live.acquisition.locked_pairer import MAX_EVENTS, LockedPairer
-from daemon.live.acquisition.pairer import PairingSettings
+from daemon.live.acquisition.pairing_events import PairingSettings
 from daemon.live.items import Pair
 from drivers.protocols import Frame, Side
 from tools.waiting import wait_until

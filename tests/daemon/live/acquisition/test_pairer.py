@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.live.acquisition.pairer import Event, FrameOutcome, Lost, Pairer, PairingSettings, Resynced
+from daemon.live.acquisition.pairer import Pairer
+from daemon.live.acquisition.pairing_events import Event, FrameOutcome, Lost, PairingSettings, Resynced
 from daemon.live.items import Pair
 from drivers.protocols import TRIGGER_MODULUS, Frame
 from tests.daemon.live.acquisition.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm

@@ -10,7 +10,7 @@ import numpy as np
 from daemon.common.counters import Counters
 from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.live.acquisition.locked_pairer import LockedPairer
-from daemon.live.acquisition.pairer import PairingSettings
+from daemon.live.acquisition.pairing_events import PairingSettings
 from daemon.live.items import Pair
 from drivers.protocols import SIDES, Flip, Frame, ProjectorInfo, Side
 

@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.live.acquisition.pairer import Pairer, PairingSettings
+from daemon.live.acquisition.pairer import Pairer
+from daemon.live.acquisition.pairing_events import PairingSettings
 from daemon.live.items import Pair
 from drivers.protocols import SIDES, Side
 from drivers.v4l2 import discover
