@@ -24,6 +24,8 @@ def parsed_settings(texts: list[str]) -> Settings:
         try:
             changes[key.strip()] = json.loads(value)
         except ValueError as error:
+            if key.strip() == "preset":
+                raise InputError(f"--set {text}: a preset is no setting; fringed preset list names them") from error
             raise InputError(f"--set {text}: expected key=value with a number, true or false") from error
     return Settings().with_overrides(changes)
 

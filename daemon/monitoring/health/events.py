@@ -98,7 +98,7 @@ class RuleEvaluator:
             return
         change = self._states[rule.name].feed(now_s, value, limit, self.config, below=rule.below)
         if change == "raised":
-            text = "; ".join(reasons) if rule.name == "degraded" and reasons else rule.text(quantity, value, limit)
+            text = "; ".join(reasons) if rule.name == "degraded" and reasons else rule.text(values, limit)
             self._count += 1
             self._open[rule.name] = Event(self._count, rule.name, quantity, rule.level, text, limit, value, t_ns)
             log.warning("%s: %s", rule.level, text)

@@ -51,11 +51,18 @@ class Rule:
         size, name = min(known) if self.below else max(known)
         return name, size
 
-    def text(self, quantity: str, value: float, limit: float) -> str:
-        """Return the event's message."""
-        text = self.template.format(value=format_value(quantity, value), limit=format_value(quantity, limit))
-        camera = [side for side in ("left", "right") if len(self.quantities) > 1 and side in quantity]
-        return f"{text} ({camera[0]} camera)" if camera else text
+    def text(self, values: Mapping[str, float], limit: float) -> str:
+        """Return the event's message; it names the cameras that break the limit."""
+        quantity, worst = self.worst(values)
+        text = self.template.format(value=format_value(quantity, worst), limit=format_value(quantity, limit))
+        breaking = [name for name in self.quantities if self._breaks(abs(values.get(name, math.nan)), limit)]
+        cameras = [side for side in ("left", "right") if any(side in name for name in breaking)]
+        if len(self.quantities) == 1 or not cameras:
+            return text
+        return f"{text} ({' and '.join(cameras)} camera{'s' * (len(cameras) > 1)})"
+
+    def _breaks(self, size: float, limit: float) -> bool:
+        return size < limit if self.below else size > limit
 
 
 def _sides(name: str) -> tuple[str, ...]:

@@ -94,6 +94,13 @@ def test_ill_events_come_before_warnings() -> None:
     assert opened[1].text == "81 °C, more than 70 °C (right camera)"
 
 
+def test_both_cameras_are_named_where_both_break_a_limit() -> None:
+    course = Course()
+    warm = {"left": camera(temperature_c=75.0), "right": camera(temperature_c=81.0)}
+    course.run(10, cameras=warm)
+    assert course.monitor.rules.open[0].text == "81 °C, more than 70 °C (left and right cameras)"
+
+
 @pytest.mark.parametrize(
     ("clock", "ill"),
     [
@@ -151,6 +158,6 @@ def test_every_rule_has_its_limit_and_its_quantities() -> None:
     for rule in RULES:
         rule.limit(limits)
         assert set(rule.quantities) <= set(NAMES), rule.name
-        assert rule.text(rule.quantities[0], 1.0, 2.0)
+        assert rule.text(dict.fromkeys(rule.quantities, 1.0), 2.0)
     assert {rule.name for rule in RULES} == set(type(limits).model_fields) | {"degraded"}
     assert len(NAMES) == len(TABLE) and format_value("dropped_share", 0.25) == "25 %"
