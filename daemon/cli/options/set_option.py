@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pipeline.common.settings import Settings
 
 
-def parsed_settings(texts: list[str]) -> Settings:
-    """The pipeline's settings changed by ``key=value`` texts.
+def parsed_settings(texts: list[str], preset: Mapping[str, Any] | None = None) -> Settings:
+    """The pipeline's settings, those of a preset, changed by ``key=value`` texts.
 
     Raises:
         InputError: a text of another form; PipelineError: an unknown key or invalid value.
@@ -25,9 +26,9 @@ def parsed_settings(texts: list[str]) -> Settings:
             changes[key.strip()] = json.loads(value)
         except ValueError as error:
             if key.strip() == "preset":
-                raise InputError(f"--set {text}: a preset is no setting; fringed preset list names them") from error
+                raise InputError(f"--set {text}: a preset is no setting, see fringed preset list") from error
             raise InputError(f"--set {text}: expected key=value with a number, true or false") from error
-    return Settings().with_overrides(changes)
+    return Settings().with_overrides((preset or {}).get("settings", {})).with_overrides(changes)
 
 
 def parsed_values(texts: list[str]) -> dict[str, list[object]]:

@@ -51,6 +51,9 @@ def main(
     ] = "npz",
     parts: PartsOption = None,
     calibration: Annotated[Path | None, typer.Option(help="Use this calibration instead of the attached one.")] = None,
+    preset: Annotated[
+        str, typer.Option(help="Settings and temporal fusion of a preset; own ones are in presets/ here.")
+    ] = "balanced",
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Change a setting: key=value. May be repeated.")
     ] = None,
@@ -62,8 +65,9 @@ def main(
         str, typer.Option(help="Pairs that contradict the calibration: withhold their points, warn, or off.")
     ] = "withhold",
     temporal: Annotated[
-        Literal["off", "fuse"], typer.Option(help="Average clouds where the scene is at rest.")
-    ] = "off",
+        Literal["off", "fuse"] | None,
+        typer.Option(help="Average clouds where the scene is at rest. Default: as the preset.", show_default=False),
+    ] = None,
     frame: Annotated[Path | None, typer.Option(help="Pose file of the frame of the clouds.")] = None,
     rerun: Annotated[str | None, typer.Option(metavar="[FILE.rrd]", help="Show the clouds, or save for Rerun.")] = None,
     expect: Annotated[
@@ -82,6 +86,7 @@ def main(
     from daemon.apps.replay.runner import Replay
     from daemon.cli.options.set_option import parsed_settings
     from daemon.common.errors import InputError
+    from daemon.config.presets import read_preset
     from daemon.recording.read.take_reader import TakeReader
     from daemon.rig.pose_file import read_pose
     from pipeline.monitor.checked_reconstructor import Policy
@@ -97,12 +102,14 @@ def main(
         raise InputError(
             f"--calibration-check is {calibration_check!r}, expected one of: {', '.join(get_args(Policy))}"
         )
+    values = read_preset(preset, Path())
+    temporal = temporal or values.get("temporal", "off")
     if temporal == "fuse" and repeat > 1:
         raise InputError(f"--temporal fuse averages with the clouds before, and --repeat {repeat} repeats a pair")
     expected = golden.load(expect) if expect is not None else None
     cell = _cell(expected, bless)
     with TakeReader(take) as reader:
-        settings = parsed_settings(set_ or [])
+        settings = parsed_settings(set_ or [], values)
         replay = Replay(reader, settings=settings, threads=threads, calibration=calibration, use_prior=use_prior)
         replay.calibration_check = cast(Policy, calibration_check)
         replay.parts = chosen or ()

@@ -220,6 +220,29 @@ def test_filters_fusion_and_the_output_frame_hold_in_a_replay(take: Path, tmp_pa
     assert replay(take, "--out", tmp_path / "d", "--temporal", "fuse", "--repeat", 2) == 2
 
 
+def clouds_in(directory: Path) -> list[Any]:
+    return [read_cloud(path) for path in sorted(directory.glob("cloud_*.npz"))]
+
+
+def test_a_preset_gives_settings_and_fusion_that_options_change(
+    take: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "presets").mkdir()
+    own = {"fringed_preset": 1, "temporal": "fuse", "settings": {"smoothing_sigma_px": 1.0, "cluster_min_area": 50}}
+    (tmp_path / "presets/own.yaml").write_text(yaml.safe_dump(own))
+    monkeypatch.chdir(tmp_path)
+    options = ["--set", "smoothing_sigma_px=1.0", "--set", "cluster_min_area=40"]
+    assert replay(take, "--out", "a", "--preset", "own", "--set", "cluster_min_area=40") == 0
+    assert replay(take, "--out", "b", "--temporal", "fuse", *options) == 0
+    for one, other in zip(clouds_in(tmp_path / "a"), clouds_in(tmp_path / "b"), strict=True):
+        np.testing.assert_array_equal(one.xyz, other.xyz)
+    assert replay(take, "--no-output", "--out", "c", "--preset", "own", "--repeat", 2) == 2
+    assert "--temporal fuse" in capfd.readouterr().err
+    assert replay(take, "--no-output", "--out", "c", "--preset", "own", "--temporal", "off", "--repeat", 2) == 0
+    assert replay(take, "--no-output", "--preset", "owm") == 2
+    assert "there is no preset 'owm'; did you mean own?" in capfd.readouterr().err
+
+
 def test_a_cut_take_replays_up_to_the_cut(take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = take.read_bytes()
     cut = tmp_path / "cut.mcap"
