@@ -181,3 +181,12 @@ def test_color_and_normals_are_computed_only_for_clouds_that_need_them(line: Lin
     assert [None if cloud.rgb is None else int(cloud.rgb[0, 0, 0]) for cloud in found] == [None, 4, 5, None]
     assert [cloud.normals is not None for cloud in found] == [False, False, True, False]
     assert line.stub.colors == 2 and found[0] is found[3] is CLOUD
+
+
+def test_a_pair_of_another_mode_is_not_measured_and_counted(line: Line) -> None:
+    line.stub.mode = "gray"
+    line.stub.gate = threading.Semaphore(0)
+    line.pair(0, 0)
+    wait_until(lambda: line.worker.finished == 1)
+    assert not line.stub.calls and not line.clouds
+    assert line.drops.snapshot() == {"pairs_of_another_mode": 1} and line.worker.dropped == 1
