@@ -190,3 +190,16 @@ def test_a_pair_of_another_mode_is_not_measured_and_counted(line: Line) -> None:
     wait_until(lambda: line.worker.finished == 1)
     assert not line.stub.calls and not line.clouds
     assert line.drops.snapshot() == {"pairs_of_another_mode": 1} and line.worker.dropped == 1
+
+
+def test_a_pair_that_waits_when_the_worker_stops_is_counted() -> None:
+    line = Line()
+    line.stub.gate = threading.Semaphore(0)
+    line.start()
+    line.pair(0, 0)
+    wait_until(lambda: line.worker.waiting == 0)
+    line.pair(1, 33)
+    assert not line.worker.stop(0)  # the first one is being measured
+    line.stub.gate.release()
+    assert line.worker.stop(20)
+    assert len(line.clouds) == 1 and line.drops.snapshot() == {"pairs_stopped": 1}
