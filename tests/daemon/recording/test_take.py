@@ -377,3 +377,15 @@ def test_the_public_stereo_pair_is_read(shared_data: Any) -> None:
         assert take.attachments["calibration.yaml"] == shared_data("bust", "calibration.yaml").read_bytes()
         assert take.pattern().periods == 32
         assert take.problems == []
+
+
+def test_a_file_that_appears_under_the_takes_name_meanwhile_is_kept_and_so_is_the_take(tmp_path: Path) -> None:
+    path = tmp_path / "take.mcap"
+    recorder = writer(path)
+    assert recorder.offer(pair(0))
+    path.write_bytes(b"another file")
+    recorder.close()
+    assert "appeared while the take was being written" in recorder.status()["problem"]
+    assert path.read_bytes() == b"another file"
+    (read,) = pairs_of(path.with_name("take.mcap.partial"))
+    assert_is(read, 0)
