@@ -88,6 +88,8 @@ def test_a_camera_that_goes_away_degrades_the_daemon_and_comes_back_by_itself(ru
     running.devices.cameras["right"].set_present(True)  # type: ignore[attr-defined]
     wait_until(lambda: running.state() is State.RUNNING)
     wait_until(lambda: running.service.cameras["right"].status.state == "acquiring")
+    back = running.service.status().cameras["right"]
+    assert back.problem == "" and back.losses == 1
     before = running.service.worker.clouds
     running.step(4)
     wait_until(lambda: running.service.worker.clouds == before + 4)
