@@ -167,6 +167,26 @@ def test_stopping_while_starting_is_orderly(tmp_path: Path) -> None:
     assert sink.closed
 
 
+def test_nothing_is_measured_with_other_cameras_than_the_calibrated_ones(tmp_path: Path) -> None:
+    rig = replace(rig_of(devices()), serials={"left": "sim-right", "right": "sim-left"})
+    sink, failures = Collector(), []
+    service = Service(config(tmp_path), rig, {"stream": sink})
+
+    def run() -> None:
+        try:
+            service.run()
+        except DaemonError as error:
+            failures.append(str(error))
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    wait_until(lambda: service.ready or not thread.is_alive(), 60)
+    service.request_stop()
+    thread.join(20)
+    assert len(failures) == 1 and failures[0].startswith("the cameras are exchanged")
+    assert sink.closed and not sink.items
+
+
 def test_stopping_ends_a_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: Any) -> None:
     def compile_for_ever(_jobs: object, notify: Callable[[Progress], None]) -> None:
         while True:
