@@ -87,7 +87,8 @@ class Running:
 
     def as_it_is(self) -> tuple[object, ...]:
         service = self.service
-        return service.config, service.settings, service.rig, service.worker._reconstructor, len(self.sink.committed)
+        used = service.worker._config, service.worker._reconstructor, service.pairer._pairer.settings
+        return service.config, service.settings, service.rig, *used, len(self.sink.committed)
 
     def stop(self) -> None:
         self.service.request_stop()

@@ -212,6 +212,18 @@ def test_a_sink_that_rejects_a_change_keeps_everything_as_it_was(running: Runnin
     assert "elsewhere" in refused(running, "set", path="pairing.max_wait_ms", value=20).message
 
 
+def test_a_reconstructor_that_cannot_be_made_keeps_everything_as_it_was(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise DaemonError("it cannot be made")
+
+    monkeypatch.setattr(running.service.path, "_reconstructor", fail)
+    running.write("pairing: {tolerance_us: 1500}\npipeline: {overload: half, temporal_prior: false}\n", near=1250)
+    assert "it cannot be made" in refused(running, "reload").message
+    running.clouds(1)
+
+
 def test_no_reload_while_a_take_is_written(running: Running) -> None:
     running.call("record.start", name="a")
     try:
