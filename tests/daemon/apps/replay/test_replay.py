@@ -16,6 +16,9 @@ import yaml
 
 from daemon.apps.export.cloud_files import read_cloud
 from daemon.cli.entry import run
+from daemon.cli.takes.replay import INCONSISTENT
+from pipeline.monitor.consistency import ConsistencyCheck, judged
+from pipeline.reconstruct.consistency import Consistency, Reading
 from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.rig import rig_files
 from tests.daemon.recording import small_take
@@ -367,3 +370,22 @@ def test_rerun_is_imported_only_on_request(take: Path, tmp_path: Path) -> None:
     )
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert process.returncode == 0, process.stderr
+
+
+def test_one_pair_that_contradicts_the_calibration_is_withheld_and_changes_the_exit_status(
+    take: Path, tmp_path: Path, images: list[small_take.Images], monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    original = ConsistencyCheck.check
+
+    def check(self: ConsistencyCheck, left: Any, *rest: Any) -> Consistency:
+        moved = np.array_equal(left, images[1][0])
+        return judged({"order_cost": Reading(2.0, 0.0)}, "it has moved") if moved else original(self, left, *rest)
+
+    monkeypatch.setattr(ConsistencyCheck, "check", check)
+    assert replay(take, "--out", tmp_path) == INCONSISTENT == 3
+    assert [row["points"] > 0 for row in summary_in(tmp_path)["per_pair"]] == [True, False, True]
+    message = capsys.readouterr().err
+    assert "1 of 3 reconstructions contradict the calibration" in message and "pair 41: it has moved" in message
+    assert replay(take, "--out", tmp_path, "--calibration-check", "warn") == 0
+    assert all(row["points"] > 0 for row in summary_in(tmp_path)["per_pair"])
