@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.common.parallel_for import blocks
 from pipeline.filter.border.border_figures import Planes, border_figures
-from pipeline.filter.border.border_model import FIGURES, MODEL
+from pipeline.filter.border.border_model import FIGURES, MODEL, BorderModel
 from pipeline.filter.border.border_pixels import ROWS, border_of_row
 from pipeline.filter.border.border_test import border_test, largest_odds
 from pipeline.filter.texture_agreement import LOSS
@@ -37,12 +37,12 @@ def planes(seed: int = 3, *, behind_mm: float = 60.0) -> Planes:
     )  # fmt: skip
 
 
-def _outcome(p: Planes, probability: float = 0.08) -> tuple[Any, Any, Any]:
+def _outcome(p: Planes, probability: float = 0.08, model: BorderModel = MODEL) -> tuple[Any, Any, Any]:
     """Validity, misfit and sigma after the test."""
     valid, misfit, sigma = (p.label > 0).astype(np.uint8), p.misfit.copy(), p.sigma.copy()
     p = p._replace(misfit=misfit, sigma=sigma)
     border_test(
-        blocks(SHAPE[0], ROWS), p, LOSS.astype(np.float32), 1, PER_ORDER, MODEL, largest_odds(probability), valid,
+        blocks(SHAPE[0], ROWS), p, LOSS.astype(np.float32), 1, PER_ORDER, model, largest_odds(probability), valid,
         misfit, sigma,
     )  # fmt: skip
     return valid, misfit, sigma
@@ -87,6 +87,18 @@ def test_the_deviation_from_the_plane_widens_sigma() -> None:
     both = valid[some] != 0
     assert both.any()
     assert (sigma[some][both] > 1.5 * _outcome(clean)[2][some][both]).mean() > 0.8
+
+
+@pytest.mark.parametrize(("variance", "factor"), [(0.25, 1.0), (1.0, 1.0), (4.0, 2.0), (25.0, 5.0)])
+def test_sigma_grows_with_the_root_of_the_variance_and_never_shrinks(variance: float, factor: float) -> None:
+    spread = np.zeros_like(MODEL.spread)
+    spread[0] = np.log(variance)
+    p = planes()
+    p.misfit[:] = 9
+    _, misfit, sigma = _outcome(p, 1.0, MODEL._replace(spread=spread))
+    tested = misfit == 0
+    assert tested[4:-4, EDGE - 1 : EDGE + 1].all() and not tested[:, : EDGE - 4].any()
+    assert np.allclose(sigma[tested], factor * p.sigma[tested], rtol=1e-5)
 
 
 def test_figures_depend_neither_on_the_unit_nor_on_what_unknown_pixels_hold() -> None:
