@@ -9,6 +9,7 @@ from pipeline.common.errors import CalibrationError
 from pipeline.common.jit import project
 from pipeline.geometry.ray_tables import DepthScale, packed, ray_table
 from pipeline.geometry.triangulate import triangulate
+from pipeline.match.epipolar_search import pixel
 from pipeline.rig.calibration import Calibration, ColorModel, from_mapping, to_mapping
 from pipeline.rig.camera_model import CameraModel
 from pipeline.rig.volume import Volume
@@ -53,6 +54,14 @@ def test_the_kernels_projection_is_the_models():
     calibration, world = rig(), points(100)
     for device in (calibration.left, calibration.right, calibration.projector):
         found = np.array([project(packed(device), *p) for p in world])
+        assert np.abs(found - device.project(world)).max() < 1e-9
+
+
+def test_the_projection_of_the_match_along_a_ray_is_the_models():
+    """By the inverse depth of a pixel's ray; compiled it is in single precision."""
+    calibration, world = rig(), points(100)
+    for device in (calibration.left, calibration.right, calibration.projector):
+        found = np.array([pixel.py_func(packed(device), *(device.rotation @ p / p[2]), 1 / p[2]) for p in world])
         assert np.abs(found - device.project(world)).max() < 1e-9
 
 
