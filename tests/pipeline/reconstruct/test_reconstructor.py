@@ -68,6 +68,20 @@ def test_unknown_is_nan_in_all_of_a_point_and_its_sigma(cloud):
     assert cloud.gray.dtype == np.uint8
 
 
+@pytest.mark.parametrize(("near_mm", "far_mm"), [(1285.0, 1400.0), (1400.0, 1515.0)])
+def test_there_is_no_point_beyond_either_limit_of_the_volume(pair, cloud, near_mm, far_mm):
+    """But for 2 % of its extent; orders are searched farther, and surfaces there are matched."""
+    z = cloud.xyz[..., 2]
+    assert (z < near_mm).any() or (z > far_mm).any()
+    calibration = SMALL.calibration_for(Optics())
+    part = Reconstructor(calibration, small_pattern(), Volume(near_mm, far_mm), settings=SETTINGS)
+    found = part.reconstruct(pair.left, pair.right)
+    inside = np.isfinite(found.xyz[..., 2])
+    share = (1 / found.xyz[inside][:, 2] - 1 / far_mm) / (1 / near_mm - 1 / far_mm)
+    assert share.size > 5000 and share.min() > -0.021 and share.max() < 1.021
+    assert ((found.order >= 0) == inside).all()
+
+
 def test_orders_are_the_truths(pair, cloud):
     both = (cloud.order >= 0) & pair.truth_left.scorable
     # Measured orders belong to phases in (-pi, pi], the truth's to [0, 2 pi).
