@@ -73,7 +73,7 @@ def by_phase(
         if best > most:
             misfit[i, j] += best / others
             continue
-        if best * _CLEAR > second:
+        if best * _CLEAR >= second:
             continue
         shift, noise, expected = _ZERO, share[0] * share[0] * variance[0, i, j], _ZERO
         for q in range(1, fringes):
