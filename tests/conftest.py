@@ -10,6 +10,7 @@ import fcntl
 import gc
 import os
 import random
+import signal
 import subprocess
 import sys
 import tempfile
@@ -30,6 +31,8 @@ HERE = Path(__file__).parent
 UMASK = 0o022
 """The umask of every test, independent of the caller's."""
 os.umask(UMASK)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background job, whose children ignore it as well
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 WITHOUT_KERNELS = (
     "daemon/apps", "daemon/cli/control", "daemon/common", "daemon/config", "daemon/control", "daemon/keys",
@@ -144,6 +147,10 @@ def own_umask() -> Iterator[None]:
     """Commands that run inside the tests' process close their files to others; that must not reach the next test."""
     yield
     os.umask(UMASK)
+
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background job, whose children ignore it as well
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

@@ -6,10 +6,21 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 
 _NAN = np.float32(np.nan)
 _NOWHERE = np.int16(-1)
+
+
+@serial
+def _mask_row(valid: Any, order: Any, near: Any, far: Any, xyz: Any, sigma: Any, order_out: Any) -> None:
+    for j in range(sigma.shape[0]):
+        x, y, z = xyz[j, 0], xyz[j, 1], xyz[j, 2]
+        known = (valid[j] != 0) & (z >= near) & (z <= far)
+        xyz[j, 0], xyz[j, 1], xyz[j, 2] = x if known else _NAN, y if known else _NAN, z if known else _NAN
+        sigma[j] = sigma[j] if known else _NAN
+        order_out[j] = order[j] if known else _NOWHERE
 
 
 @parallel
@@ -24,27 +35,17 @@ def mask_rejected(
         near, far: float32, limits of the depth, mm.
         xyz: (H, W, 3), sigma: (H, W), float32, changed; order_out: (H, W) int16, written, -1 where unknown.
     """
-    width = sigma.shape[1]
-    if stride != 1:
-        order_out[i, :] = _NOWHERE
-        if i % stride != 0:
-            xyz[i, :, :], sigma[i, :] = _NAN, _NAN
-            return
-        for j in range(width):
-            if j % stride != 0:
-                xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
-    a = i // stride
-    here, orders = valid[a], order[a]
+    if i % stride != 0:
+        xyz[i, :, :], sigma[i, :], order_out[i, :] = _NAN, _NAN, _NOWHERE
+        return
+    here, orders = valid[i // stride], order[i // stride]
     if stride == 1:
-        out = order_out[i]
-        for j in range(width):
-            one = orders[j]
-            out[j] = one if here[j] != 0 else _NOWHERE
-    for b in range(here.shape[0]):
-        m = np.uint32(stride * b)
-        z = xyz[i, m, 2]
-        if here[b] == 0 or z < near or z > far:
-            xyz[i, m, 0], xyz[i, m, 1], xyz[i, m, 2], sigma[i, m] = _NAN, _NAN, _NAN, _NAN
-            order_out[i, m] = _NOWHERE
-        elif stride != 1:
-            order_out[i, m] = orders[b]
+        _mask_row(here, orders, near, far, xyz[i], sigma[i], order_out[i])
+        return
+    for j in range(sigma.shape[1]):
+        b, z = j // stride, xyz[i, j, 2]
+        if j % stride == 0 and here[b] != 0 and near <= z <= far:
+            order_out[i, j] = orders[b]
+        else:
+            xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
+            order_out[i, j] = _NOWHERE

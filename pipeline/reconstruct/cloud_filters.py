@@ -146,10 +146,13 @@ class CloudFilters:
         if self._depth.shape != sigma.shape:
             self._depth, self._variance = (np.full(sigma.shape, np.nan, np.float32) for _ in range(2))
         tiles = tuple(blocks(size, temporal_fusion.TILE) for size in sigma.shape)
-        moving = np.zeros(tiles, np.uint8)
+        moving, rest = np.zeros(tiles, np.uint8), np.zeros((tiles[0], 2))
         flat = xyz.reshape(-1), sigma, self._depth.reshape(-1), self._variance.reshape(-1)
-        temporal_fusion.find_motion(tiles[0], *flat, moving)
-        temporal_fusion.fuse(tiles[0], self._settings.fusion_clouds, moving, *flat)
+        temporal_fusion.find_motion(tiles[0], *flat, moving, rest)
+        squares, count = rest.sum(axis=0)
+        # Errors that are the same in every cloud, as of coloured textures and of the calibration, are not averaged.
+        noisy = np.float32(min(squares / count, 1.0) if count else 1.0)
+        temporal_fusion.fuse(tiles[0], self._settings.fusion_clouds, noisy, moving, *flat)
 
     def _smooth(self, xyz: F32, sigma: F32) -> None:
         rows, columns = sigma.shape

@@ -85,8 +85,10 @@ def fingerprint(source: Source) -> str:
     digest = hashlib.sha256(json.dumps([str(source.python), str(source.wheelhouse), source.shared]).encode())
     digest.update(shipped("constraints.txt").read_bytes())
     for package in OWN:
-        for path in sorted((_CHECKOUT / package).rglob("*")):
-            if path.is_file() and path.suffix not in (".pyc", ".nbi", ".nbc"):
+        for folder, folders, names in os.walk(_CHECKOUT / package):
+            # Not even entered: programs that start meanwhile write there.
+            folders[:] = sorted(set(folders) - {"__pycache__"})
+            for path in (Path(folder) / name for name in sorted(names)):
                 digest.update(f"{path.relative_to(_CHECKOUT)}\0".encode() + path.read_bytes())
     return digest.hexdigest()
 

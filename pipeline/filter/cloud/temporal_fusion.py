@@ -22,8 +22,9 @@ _PIXEL = np.float32(16)
 _MEAN, _MEAN_SQUARE = np.float32(0.8), np.float32(2.2)
 """Mean difference of a tile in standard deviations, and mean squared difference in variances, that noise does not
 reach: neighbouring pixels' noise is correlated, a tile has about thirty independent ones."""
-_LOST = np.float32(4)
-"""A tile moves where more than one in so many of its pixels were known in only one of both clouds."""
+_LOST, _FLICKER = np.float32(4), np.float32(24)
+"""A tile moves where more than one in so many of its pixels were known in only one of both clouds, and more than so
+many: at the border of a surface at rest some come and go."""
 COLUMNS = 16 * TILE
 """Pixels of a row that are averaged in one go."""
 _ONE, _ZERO = np.float32(1), np.float32(0)
@@ -37,7 +38,8 @@ def _compare(xyz: Any, sigma: Any, depth: Any, variance: Any, at: Any, count: in
 
     Args:
         xyz, sigma, depth, variance: flat; at: number of the first pixel, uint64; count: of pixels, up to COLUMNS.
-        s: (4 COLUMNS,) float32, sums of deviations, of their squares, of pixels known in both clouds and in one.
+        s: (5 COLUMNS,) float32, sums of deviations, of their squares, of pixels known in both clouds and in one, and
+            of those whose squares were cut off.
     """
     for j in range(count):
         k = at + np.uint64(j)
@@ -47,6 +49,7 @@ def _compare(xyz: Any, sigma: Any, depth: Any, variance: Any, at: Any, count: in
         off = z - before
         square = off * off * (x * x + y * y + z * z) / (z * z * noise)
         # A pixel at the border of something that moves must not decide alone.
+        s[4 * COLUMNS + j] += _ONE if (known & old) & (square >= _PIXEL) else _ZERO
         square = square if square < _PIXEL else _PIXEL
         square = square if known & old else _ZERO
         step = root(square)
@@ -57,17 +60,19 @@ def _compare(xyz: Any, sigma: Any, depth: Any, variance: Any, at: Any, count: in
 
 
 @parallel
-def find_motion(band: int, xyz: Any, sigma: Any, depth: Any, variance: Any, moving: Any) -> None:
-    """Mark the tiles of a row of tiles in which the new cloud contradicts the average.
+def find_motion(band: int, xyz: Any, sigma: Any, depth: Any, variance: Any, moving: Any, rest: Any) -> None:
+    """Mark the tiles of a row of tiles in which the new cloud contradicts the average, and add up the others.
 
     Args:
         xyz: (3 H W,), sigma: (H, W), float32, of the new cloud.
         depth, variance: (H W,) float32, of the average: z in mm, variance in mm^2 along the ray; NaN = unknown.
         moving: (tiles down, tiles across) uint8, written.
+        rest: (tiles down, 2) float64, written: sum of the squared differences at rest, in variances, and their number.
     """
     height, width = sigma.shape
     flat = sigma.reshape(height * width)
-    s = np.empty(4 * COLUMNS, np.float32)
+    s = np.empty(5 * COLUMNS, np.float32)
+    rest[band] = 0
     for left in range(0, width, COLUMNS):
         s[:] = _ZERO
         count = min(COLUMNS, width - left)
@@ -75,7 +80,12 @@ def find_motion(band: int, xyz: Any, sigma: Any, depth: Any, variance: Any, movi
             _compare(xyz, flat, depth, variance, np.uint64(i * width + left), count, s)
         for tile in range(left // TILE, (left + count + TILE - 1) // TILE):
             first = TILE * tile - left
-            moving[band, tile] = _moves(s, first, min(first + TILE, count))
+            last = min(first + TILE, count)
+            moving[band, tile] = _moves(s, first, last)
+            if moving[band, tile] == _NO:
+                cut = s[4 * COLUMNS + first : 4 * COLUMNS + last].sum()
+                rest[band, 0] += s[COLUMNS + first : COLUMNS + last].sum() - _PIXEL * cut
+                rest[band, 1] += s[2 * COLUMNS + first : 2 * COLUMNS + last].sum() - cut
 
 
 @serial
@@ -91,18 +101,20 @@ def _moves(s: Any, first: int, last: int) -> Any:
     # Fewer pixels scatter more.
     slack = _ONE + np.float32(32) / n
     changed = (abs(total) > _MEAN * slack * n) | (squares > _MEAN_SQUARE * slack * n)
-    return np.uint8(changed | (_LOST * one > both + one))
+    return np.uint8(changed | ((_LOST * one > both + one) & (one > _FLICKER)))
 
 
 @serial
 def _average(
-    xyz: Any, sigma: Any, depth: Any, variance: Any, still: Any, least: Any, at: Any, first: Any, count: int, s: Any
-) -> None:
+    xyz: Any, sigma: Any, depth: Any, variance: Any, still: Any, least: Any, noisy: Any, at: Any, first: Any,
+    count: int, s: Any,
+) -> None:  # fmt: skip
     """New depth, variance, sigma, and scale of the position of some pixels of a row, (4 COLUMNS,) into ``s``.
 
     Args:
         xyz, sigma, depth, variance: flat; still: (W,) uint8, 1 where no tile around moves.
-        least: weight of the newest cloud, at least; at: number of the first pixel, uint64; first: its column, uint64.
+        least: weight of the newest cloud, at least; noisy: share of the variance that clouds average.
+        at: number of the first pixel, uint64; first: its column, uint64.
         count: number of pixels, up to COLUMNS.
     """
     for j in range(count):
@@ -118,7 +130,8 @@ def _average(
         fused, other = before + share * off, _ONE - share
         averaged = other * other * old + share * share * noise
         s[j], s[COLUMNS + j] = fused if rest else z, averaged if rest else noise
-        s[2 * COLUMNS + j], s[3 * COLUMNS + j] = root(averaged) if rest else sigma[k], fused / z if rest else _ONE
+        left = noise + noisy * (averaged - noise)
+        s[2 * COLUMNS + j], s[3 * COLUMNS + j] = root(left) if rest else sigma[k], fused / z if rest else _ONE
 
 
 @serial
@@ -139,11 +152,12 @@ def _write(s: Any, at: Any, count: int, xyz: Any, sigma: Any, depth: Any, varian
 
 
 @parallel
-def fuse(band: int, most: int, moving: Any, xyz: Any, sigma: Any, depth: Any, variance: Any) -> None:
+def fuse(band: int, most: int, noisy: Any, moving: Any, xyz: Any, sigma: Any, depth: Any, variance: Any) -> None:
     """Average a row of tiles where it is at rest; elsewhere the average restarts from the new cloud.
 
     Args:
         most: clouds that are averaged; the newest one has at least the weight 1 / most.
+        noisy: float32, share of the variance in which clouds at rest differ; averages keep the rest of it.
         moving: of :func:`find_motion`; xyz: (3 H W,), sigma: (H, W), float32, changed.
         depth, variance: (H W,), of the average, changed.
     """
@@ -157,5 +171,5 @@ def fuse(band: int, most: int, moving: Any, xyz: Any, sigma: Any, depth: Any, va
     for i in range(TILE * band, min(TILE * band + TILE, height)):
         for left in range(0, width, COLUMNS):
             at, count = np.uint64(i * width + left), min(COLUMNS, width - left)
-            _average(xyz, flat, depth, variance, still, least, at, np.uint64(left), count, s)
+            _average(xyz, flat, depth, variance, still, least, noisy, at, np.uint64(left), count, s)
             _write(s, at, count, xyz, flat, depth, variance)

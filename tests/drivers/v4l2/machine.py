@@ -16,9 +16,10 @@ GUEST = Path(__file__).parent / "guest"
 MAIN = (GUEST / "main.py").relative_to(ROOT)
 CODE = (
     "daemon/__init__.py", "daemon/live/__init__.py", "daemon/live/items.py", "daemon/live/acquisition/__init__.py",
-    "daemon/live/acquisition/trigger_count.py", "daemon/live/acquisition/pairer.py", "drivers", "tests/__init__.py",
-    "tests/drivers/__init__.py", "tests/drivers/v4l2/__init__.py", str(GUEST.relative_to(ROOT)), "tools/__init__.py",
-    "tools/waiting.py",
+    "daemon/live/acquisition/trigger_count.py", "daemon/live/acquisition/pairer.py",
+    "daemon/live/acquisition/pairing_events.py", "daemon/live/acquisition/waiting_frames.py", "drivers",
+    "tests/__init__.py", "tests/drivers/__init__.py", "tests/drivers/v4l2/__init__.py", str(GUEST.relative_to(ROOT)),
+    "tools/__init__.py", "tools/waiting.py",
 )  # fmt: skip
 BUILD = ROOT / "tools" / "vm" / "build"
 TOOLS = ("qemu-system-x86_64", "apt-get", "depmod", "mkfs.ext4", "gcc", "make")

@@ -189,7 +189,7 @@ def test_a_sink_that_does_not_turn_stops_the_watchdog_messages(running: Running)
 
 def test_a_reload_is_reported_from_its_beginning_to_its_end(running: Running) -> None:
     measure(running)
-    running.manager.wait_for("READY")
+    wait_until(lambda: running.supervisor.ready)
     running.manager.read()
     assert running.supervisor.reload(lambda: running.manager.read()[-1]["RELOADING"]) == "1"
     assert running.manager.read()[-1]["READY"] == "1"
