@@ -1,21 +1,27 @@
-"""Time of each cloud filter at full size, of one thread: ``python -m benchmarks.cloud_filters``.
+"""Time of each cloud filter and optional part at full size: ``python -m benchmarks.cloud_filters``.
 
 A tilted plane with noise; a quarter of the image is unknown, mostly in two patches, a hundredth in single pixels.
-Processor time, so that other programs on the machine do not count.
+Processor time of one thread, so that other programs on the machine do not count; of the parts wall time, too, with all
+threads.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from functools import partial
 from statistics import median
 from typing import Any
 
 import numba
 import numpy as np
 
+from daemon.cli.allocator import prepare
 from pipeline.common.settings import Settings
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.cloud_filters import cloud_filters
+from pipeline.reconstruct.optional_parts import NORMALS, RGB, with_parts
+from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.pose import Pose
 from sim.rig.layout import RigLayout
 
@@ -36,9 +42,11 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 def main() -> None:
-    """Print a line for each filter."""
+    """Print a line for each filter and part."""
+    prepare()
     numba.set_num_threads(1)
-    calibration = RigLayout().calibration()
+    layout = RigLayout()
+    calibration = layout.calibration()
     rays = calibration.left.rays()
     height, width = rays.shape[:2]
     rng = np.random.default_rng(0)
@@ -55,12 +63,26 @@ def main() -> None:
         settings = Settings(**{key: value for key, value in case.items() if key not in options})
         filters = cloud_filters(calibration, settings, mosaic=False, **options)
         assert filters is not None
-        times = []
-        for _ in range(9):
-            began = time.process_time()
-            filters.apply(cloud)
-            times.append(1e3 * (time.process_time() - began))
-        print(f"{name:24s}{median(times):8.1f} ms")
+        print(f"{name:24s}{milliseconds(partial(filters.apply, cloud)):8.1f} ms")
+    reconstructor = Reconstructor(calibration, layout.pattern(), layout.volume())
+    image = rng.integers(20, 220, (height, width, 3), dtype=np.uint8)
+    for part in (RGB, NORMALS):
+        add = partial(with_parts, cloud, reconstructor, image, (part,))
+        numba.set_num_threads(1)
+        one = milliseconds(add)
+        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+        print(f"{part:24s}{one:8.1f} ms, with all threads {milliseconds(add, time.perf_counter):.1f} ms")
+
+
+def milliseconds(work: Callable[[], object], clock: Callable[[], float] = time.process_time) -> float:
+    """Median of some calls, after one that compiles."""
+    work()
+    times = []
+    for _ in range(15):
+        began = clock()
+        work()
+        times.append(1e3 * (clock() - began))
+    return median(times)
 
 
 if __name__ == "__main__":
