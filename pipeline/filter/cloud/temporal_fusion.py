@@ -48,8 +48,8 @@ def _compare(xyz: Any, sigma: Any, depth: Any, variance: Any, at: Any, count: in
         known, old = z == z, before == before
         off = z - before
         square = off * off * (x * x + y * y + z * z) / (z * z * noise)
-        # A pixel at the border of something that moves must not decide alone.
         s[4 * COLUMNS + j] += _ONE if (known & old) & (square >= _PIXEL) else _ZERO
+        # A pixel at the border of something that moves must not decide alone.
         square = square if square < _PIXEL else _PIXEL
         square = square if known & old else _ZERO
         step = root(square)
