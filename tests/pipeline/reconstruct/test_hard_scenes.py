@@ -46,7 +46,7 @@ def test_half_size(name: str, least: float, most: float, ratio: float):
     [
         ("standard", 0.967, 0.0004, 1.3),
         ("rims", 0.972, 0.0001, 1.2),
-        ("bars", 0.915, 0.0015, 1.4),
+        ("bars", 0.91, 0.0010, 1.4),
         ("slots", 0.885, 0.0010, 1.4),
         ("bare white plane", 0.99, 0.0001, 1.3),
         ("steep sides", 0.957, 0.0003, 1.3),
