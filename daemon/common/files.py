@@ -6,11 +6,19 @@ import contextlib
 import os
 import re
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from daemon.common.errors import InputError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+def source_files(folder: Path) -> Iterator[Path]:
+    """Files below a folder, in order, without the caches beside sources, which starting programs fill meanwhile."""
+    for parent, folders, names in os.walk(folder):
+        folders[:] = sorted(set(folders) - {"__pycache__"})
+        yield from (Path(parent) / name for name in sorted(names))
 
 
 def checked_name(name: str) -> str:

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
 from daemon.common.errors import DaemonError
-from daemon.common.files import write_atomically
+from daemon.common.files import source_files, write_atomically
 from daemon.kernels import cache
 
 
@@ -144,7 +144,7 @@ def _folders() -> dict[str, str]:
     """Folders of sources, relative to the project, with their folders in a cache of numba."""
     from numba.core.caching import UserProvidedCacheLocator
 
-    sources = {path.parent for package in cache.PACKAGES for path in (cache.ROOT / package).rglob("*.py")}
+    sources = {path.parent for package in cache.PACKAGES for path in source_files(cache.ROOT / package)}
     return {
         folder.relative_to(cache.ROOT).as_posix(): UserProvidedCacheLocator.get_suitable_cache_subpath(
             str(folder / "any.py")

@@ -16,7 +16,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from daemon.common.files import write_atomically
+from daemon.common.files import source_files, write_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = "pipeline", "sim"
@@ -29,7 +29,7 @@ def sources_key() -> str:
     """Hash of the sources."""
     digest = hashlib.sha256()
     for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
+        for path in sorted(path for path in source_files(ROOT / package) if path.suffix == ".py"):
             digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:32]
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from daemon.apps.install.errors import InstallError
 from daemon.apps.install.files import SHARE, shipped
 from daemon.apps.install.target import Target, first_closed_directory
+from daemon.common.files import source_files
 
 OWN = "fringed", "pipeline", "drivers", "sim", "daemon"
 _CHECKOUT = Path(__file__).resolve().parents[3]
@@ -85,11 +86,8 @@ def fingerprint(source: Source) -> str:
     digest = hashlib.sha256(json.dumps([str(source.python), str(source.wheelhouse), source.shared]).encode())
     digest.update(shipped("constraints.txt").read_bytes())
     for package in OWN:
-        for folder, folders, names in os.walk(_CHECKOUT / package):
-            # Not even entered: programs that start meanwhile write there.
-            folders[:] = sorted(set(folders) - {"__pycache__"})
-            for path in (Path(folder) / name for name in sorted(names)):
-                digest.update(f"{path.relative_to(_CHECKOUT)}\0".encode() + path.read_bytes())
+        for path in source_files(_CHECKOUT / package):
+            digest.update(f"{path.relative_to(_CHECKOUT)}\0".encode() + path.read_bytes())
     return digest.hexdigest()
 
 

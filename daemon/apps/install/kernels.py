@@ -12,6 +12,7 @@ from daemon.apps.install.environment import OWN
 from daemon.apps.install.errors import InstallError
 from daemon.apps.install.layout import CACHE, KERNELS, STATE, USER
 from daemon.apps.install.target import Target
+from daemon.common.files import source_files
 from daemon.kernels import cache
 
 _TIMEOUT_S = 3600
@@ -67,7 +68,7 @@ def copy_compiled(target: Target) -> int:
     (own,) = target.path(target.prefix / "env").glob("lib/python3.*/site-packages")
     own = Path("/") / own.relative_to(target.root)
     for package in OWN:
-        for folder in sorted({path.parent for path in (root / package).rglob("*.py")}):
+        for folder in sorted({path.parent for path in source_files(root / package)}):
             for cached in (folder / "__pycache__").glob("*.nb[ic]"):
                 sub = locator.get_suitable_cache_subpath(str(own / folder.relative_to(root) / "any.py"))
                 destination = target.path(KERNELS) / sub
