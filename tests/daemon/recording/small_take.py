@@ -33,6 +33,13 @@ def render() -> list[Images]:
     return [(pair.left, pair.right) for pair in pairs]
 
 
+def at_rest(images: Images, count: int) -> list[Images]:
+    """The same pair with other noise each time; without any, clouds of a scene at rest would be equal."""
+    rng = np.random.default_rng(4)
+    left, right = ([image + rng.integers(0, 3, image.shape, np.uint8) for _ in range(count)] for image in images)
+    return list(zip(left, right, strict=True))
+
+
 def write(path: Path, images: Sequence[Images], *, first: int = 40, **options: Any) -> Path:
     """A take of these images, numbered from ``first``."""
     values: dict[str, Any] = {"session": "small", "device": "sim", "calibration_data": CALIBRATION}

@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 
@@ -77,15 +76,11 @@ def test_so_they_are_with_a_temporal_prior(images: Images, tmp_path: Path, chunk
     assert len(list((tmp_path / "out" / "a" / "chunks").iterdir())) == 2
 
 
-def at_rest(images: small_take.Images, count: int) -> Images:
-    """The same pair with other noise each time; without any, clouds of a scene at rest would be equal."""
-    rng = np.random.default_rng(4)
-    left, right = ([image + rng.integers(0, 3, image.shape, np.uint8) for _ in range(count)] for image in images)
-    return list(zip(left, right, strict=True))
-
-
 def test_so_they_are_with_temporal_fusion(images: Images, tmp_path: Path) -> None:
-    takes = [write(tmp_path / f"{name}.mcap", at_rest(images[n], 4), 4) for n, name in enumerate(("first", "second"))]
+    takes = [
+        write(tmp_path / f"{name}.mcap", small_take.at_rest(images[n], 4), 4)
+        for n, name in enumerate(("first", "second"))
+    ]
     reprocess(takes, tmp_path / "out", engine=InlineEngine(), chunk_pairs=1, fuse=True)
     for take in takes:
         files, verdicts = replayed(take, fuse=True)
