@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 import pytest
 from numba.core import types
+from numba.extending import intrinsic
 
 from pipeline.common.jit import inline
 from pipeline.common.parallel_for import blocks, parallel
@@ -66,6 +67,29 @@ def _fail_at(i: int, last: int) -> None:
         raise ValueError("no message reaches the caller")
 
 
+@intrinsic
+def _owner(context: Any, array: Any) -> Any:  # noqa: ARG001
+    """Address of the structure that counts the references to an array's memory."""
+
+    def generate(target: Any, builder: Any, signature: Any, values: Any) -> Any:
+        array = target.make_array(signature.args[0])(target, builder, values[0])
+        return builder.ptrtoint(array.meminfo, target.get_value_type(types.intp))
+
+    return types.intp(array), generate
+
+
+class _Pair(NamedTuple):
+    left: Any
+    right: Any
+
+
+@parallel
+def _owners(i: int, plain: Any, pair: Any, nested: Any, out: Any) -> None:
+    out[i, 0], out[i, 1] = _owner(plain), _owner(plain[1:])
+    out[i, 2], out[i, 3] = _owner(pair.left), _owner(pair.right[i])
+    out[i, 4], out[i, 5] = _owner(nested[1][0]), _owner(np.empty(3))
+
+
 @pytest.fixture
 def all_threads():
     before = numba.get_num_threads()
@@ -116,6 +140,16 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
         [sys.executable, "-c", _AFTER_FORK], env=environment, capture_output=True, text=True, timeout=60, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_threads_count_no_references_to_the_same_array() -> None:
+    plain, left, right = np.zeros(5), np.zeros((2, 4), np.float32), np.zeros((8, 3), np.uint8)
+    before = [sys.getrefcount(a) for a in (plain, left, right)]
+    out = np.full((8, 6), -1, np.int64)
+    _owners(8, plain, _Pair(left, right), (1, (left, 2.0)), out)
+    assert (out[:, :5] == 0).all()
+    assert (out[:, 5] != 0).all()  # an array of the body's own is released by its count
+    assert [sys.getrefcount(a) for a in (plain, left, right)] == before
 
 
 def test_blocks_cover_all_rows() -> None:
