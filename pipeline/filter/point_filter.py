@@ -14,6 +14,7 @@ from pipeline.filter.border.border_figures import Planes
 from pipeline.filter.border.border_model import MODEL
 from pipeline.filter.border.border_pixels import ROWS as BORDER_ROWS
 from pipeline.filter.border.border_test import border_test, largest_odds
+from pipeline.filter.border.surface_edges import ROWS as EDGE_ROWS
 from pipeline.filter.border.surface_edges import edge_test
 from pipeline.filter.local_outliers import MOST_MEAN, ROWS, drop_mixed_edges, local_outliers, usual_mean
 from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Values
@@ -110,8 +111,8 @@ class Gates:
         self._test_components(match, agreement, scale)
         np.copyto(self._before, valid)
         edge_test(
-            len(label), label, agreement.deviation, _LOSS, HIGH, np.float32(EDGE_LOSS), np.float32(LOSS_PER_NEIGHBOUR),
-            MISFIT_OF, agreement.misfit, valid,
+            blocks(len(label), EDGE_ROWS), label, agreement.deviation, _LOSS, HIGH, np.float32(EDGE_LOSS),
+            np.float32(LOSS_PER_NEIGHBOUR), MISFIT_OF, agreement.misfit, valid,
         )  # fmt: skip
         by_phase = Values(match.absolute_phase, False, self._base, self._span)
         for u, v, device, values, tolerance in (

@@ -48,6 +48,8 @@ _SAMPLES = 7000
 _LEAST_SAMPLES = 200
 BLUR = 0.35
 """Half of the variance of the images' blur, px^2: optics, pixel area and the window of the decoding."""
+ROWS = 8
+"""Rows that share a scratch array."""
 LAG = 2
 """Pixels to either side from which the fringes' frequency in both images is taken."""
 _STEEPEST, _MOST_PERIODS = 0.2, 3.0  # right pixels per left pixel; frequency over the expected one
@@ -134,9 +136,9 @@ def _widen_row(
 
 @parallel
 def widen_sigma(
-    i: int, misfit: Any, match: Any, variance: Any, shares: Any, slopes: Any, stride: int, sigma: Any
+    block: int, misfit: Any, match: Any, variance: Any, shares: Any, slopes: Any, stride: int, sigma: Any
 ) -> None:  # fmt: skip
-    """Add the remaining errors to the standard deviation of the points.
+    """Add the remaining errors to the standard deviation of the points in a block of :data:`ROWS` rows.
 
     Args:
         misfit: (h, w) uint8, see :class:`pipeline.filter.texture_agreement.Agreement`.
@@ -150,19 +152,22 @@ def widen_sigma(
     valid, phase = match.valid, match.absolute_phase
     lost = np.zeros(width, np.float32)
     slope = np.float32((slopes[0] + slopes[1]) * 2 * LAG * TURN_STEPS / (2 * np.pi))
-    if abs(slopes[0]) >= abs(slopes[1]):
-        u, n = match.right_u[i], width - 2 * LAG
-        _lost_row(
-            (valid[i, :n], valid[i, 2 * LAG :]), (phase[i, :n], phase[i, 2 * LAG :]), (u[:n], u[2 * LAG :]),
-            slope, stride, lost[LAG : LAG + n],
-        )  # fmt: skip
-    elif LAG <= i < height - LAG:
-        v, a, b = match.right_v, i - LAG, i + LAG
-        _lost_row((valid[a], valid[b]), (phase[a], phase[b]), (v[a], v[b]), slope, stride, lost)
     bias = np.float32(0.5 * shares.bias * RESIDUAL_STEP**2)
     mis, more = np.float32(0.5 * shares.misfit / MISFIT_STEPS**2), np.float32(0.5 * shares.variance)
-    normalised, residual = match.residual_normalised[i], match.residual[i]
-    if stride == 1:
-        _widen_row(misfit[i], normalised, residual, variance[i], lost, bias, mis, more, sigma[i])
-    else:
-        _widen_row(misfit[i], normalised, residual, variance[i], lost, bias, mis, more, sigma[stride * i, ::stride])
+    for i in range(block * ROWS, min((block + 1) * ROWS, height)):
+        if abs(slopes[0]) >= abs(slopes[1]):
+            u, n = match.right_u[i], width - 2 * LAG
+            _lost_row(
+                (valid[i, :n], valid[i, 2 * LAG :]), (phase[i, :n], phase[i, 2 * LAG :]), (u[:n], u[2 * LAG :]),
+                slope, stride, lost[LAG : LAG + n],
+            )  # fmt: skip
+        elif LAG <= i < height - LAG:
+            v, a, b = match.right_v, i - LAG, i + LAG
+            _lost_row((valid[a], valid[b]), (phase[a], phase[b]), (v[a], v[b]), slope, stride, lost)
+        else:
+            lost[:] = np.float32(0.0)
+        normalised, residual = match.residual_normalised[i], match.residual[i]
+        if stride == 1:
+            _widen_row(misfit[i], normalised, residual, variance[i], lost, bias, mis, more, sigma[i])
+        else:
+            _widen_row(misfit[i], normalised, residual, variance[i], lost, bias, mis, more, sigma[stride * i, ::stride])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import blocks, parallel
 from pipeline.match.match_result import PIXEL_STEPS, MatchResult
 
 DEVIATION_STEPS = 16
@@ -25,6 +25,8 @@ NO_MATCH = np.uint8(255)
 MISFIT_STEPS = 256.0
 """Steps per radian of :attr:`Agreement.misfit`."""
 
+ROWS = 8
+"""Rows that share a scratch array: threads that allocate at the same time wait for each other."""
 _SAMPLES, _APART = 7000, 9
 _LEAST_SAMPLES = 200
 _LEAST_MEAN, _LEAST_AMPLITUDE = 0.012, 0.012
@@ -105,13 +107,14 @@ def deviations_of_row(valid: Any, mean: Any, amplitude: Any, right: Any, s: Any,
 
 @parallel
 def _compare(
-    i: int, valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, right_mean: Any, right_amplitude: Any, width: int,
-    scale: Any, deviation: Any, misfit: Any,
+    block: int, valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, right_mean: Any, right_amplitude: Any,
+    width: int, scale: Any, deviation: Any, misfit: Any,
 ) -> None:  # fmt: skip
-    """Fill the planes of :class:`Agreement`; right images flat, of this width."""
+    """Fill :data:`ROWS` rows of the planes of :class:`Agreement`; right images flat, of this width."""
     right = np.empty((2, valid.shape[1]), np.float32)
-    right_values_of_row(valid[i], u[i], v[i], right_mean, right_amplitude, width, right)
-    deviations_of_row(valid[i], mean[i], amplitude[i], right, scale, deviation[i], misfit[i])
+    for i in range(block * ROWS, min((block + 1) * ROWS, valid.shape[0])):
+        right_values_of_row(valid[i], u[i], v[i], right_mean, right_amplitude, width, right)
+        deviations_of_row(valid[i], mean[i], amplitude[i], right, scale, deviation[i], misfit[i])
 
 
 def compare(match: MatchResult, left: Any, right: Any, scale: Scale, inside: Scale, out: Agreement) -> None:
@@ -122,8 +125,9 @@ def compare(match: MatchResult, left: Any, right: Any, scale: Scale, inside: Sca
             where false ones would set their own scale; inside: of those in the volume, for the misfit.
     """
     _compare(
-        len(match.valid), match.valid, match.right_u, match.right_v, left.mean, left.modulation, right.mean.reshape(-1),
-        right.modulation.reshape(-1), right.mean.shape[1], scales_of(scale, inside), out.deviation, out.misfit,
+        blocks(len(match.valid), ROWS), match.valid, match.right_u, match.right_v, left.mean, left.modulation,
+        right.mean.reshape(-1), right.modulation.reshape(-1), right.mean.shape[1], scales_of(scale, inside),
+        out.deviation, out.misfit,
     )  # fmt: skip
 
 
@@ -141,33 +145,46 @@ def scales_of(scale: Scale, inside: Scale) -> NDArray[np.float32]:
     )  # fmt: skip
 
 
-def scale_of(
-    match: MatchResult, left: Any, right: Any, depth: Any = None, limits: tuple[np.float32, np.float32] | None = None
-) -> Scale:
+def scale_of(match: MatchResult, left: Any, right: Any) -> Scale:
     """Scale of the differences in this pair: medians over the matched pixels of a grid.
 
     Args:
         left, right: with planes ``mean`` and ``modulation``.
-        depth: (H, W) mm, of the left camera's points; limits: least and largest one that counts; None: all.
     """
+    return _scale(_samples(match, left, right)[1])
+
+
+def scale_and_inside(
+    match: MatchResult, left: Any, right: Any, depth: Any, limits: tuple[np.float32, np.float32]
+) -> tuple[Scale, Scale]:
+    """:func:`scale_of`, and the scale of the pixels whose depth (H, W) lies within the limits, mm."""
+    at, samples = _samples(match, left, right)
+    scale, z = _scale(samples), depth[at]
+    inside = (z >= limits[0]) & (z <= limits[1])
+    return scale, scale if inside.all() else _scale([(a[inside], b[inside]) for a, b in samples])
+
+
+def _samples(match: MatchResult, left: Any, right: Any) -> tuple[Any, list[tuple[Any, Any]]]:
+    """Matched pixels of a grid (two index arrays), and the means and amplitudes of both images there."""
     step = max(1, round((match.valid.size / _SAMPLES) ** 0.5))
     part = np.s_[::step, ::step]
-    some = match.valid[part] != 0
-    if limits is not None:
-        some &= (depth[part] >= limits[0]) & (depth[part] <= limits[1])
-    if np.count_nonzero(some) < _LEAST_SAMPLES:
-        return Scale(0.0, 0.02, 0.0, 0.04, 0.0, 0.0)
-    x = match.right_u[part][some].astype(np.int32) // PIXEL_STEPS
-    y = match.right_v[part][some].astype(np.int32) // PIXEL_STEPS
+    some = np.nonzero(match.valid[part])
+    at = some[0] * step, some[1] * step
     height, width = right.mean.shape
-    x, y = np.minimum(x, width - 1), np.minimum(y, height - 1)
+    x = np.minimum(match.right_u[at].astype(np.int32) // PIXEL_STEPS, width - 1)
+    y = np.minimum(match.right_v[at].astype(np.int32) // PIXEL_STEPS, height - 1)
+    planes = (left.mean, right.mean), (left.modulation, right.modulation)
+    return at, [(here[at].astype(np.float32), there[y, x].astype(np.float32)) for here, there in planes]
+
+
+def _scale(samples: list[tuple[Any, Any]]) -> Scale:
+    count = len(samples[0][0])
+    if count < _LEAST_SAMPLES:
+        return Scale(0.0, 0.02, 0.0, 0.04, 0.0, 0.0)
     values: list[float] = []
-    squares = np.zeros((2, len(x)), np.float32)
-    for here, there, least, share in (
-        (left.mean, right.mean, _LEAST_MEAN, 1 - AMPLITUDE_SHARE),
-        (left.modulation, right.modulation, _LEAST_AMPLITUDE, AMPLITUDE_SHARE),
-    ):
-        a, b = here[part][some].astype(np.float32), there[y, x].astype(np.float32)
+    squares = np.zeros((2, count), np.float32)
+    limits = (_LEAST_MEAN, 1 - AMPLITUDE_SHARE), (_LEAST_AMPLITUDE, AMPLITUDE_SHARE)
+    for (a, b), (least, share) in zip(samples, limits, strict=True):
         ratio = _relative_difference(a, b)
         centre = float(np.median(ratio))
         sigma = max(1.4826 * float(np.median(np.abs(ratio - centre))), least)

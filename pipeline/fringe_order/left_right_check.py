@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import blocks, parallel
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.pixel_descriptor import bias_of
 from pipeline.fringe_order.semi_global_aggregation import NONE
@@ -17,6 +17,8 @@ from pipeline.geometry.view_tables import View
 
 _TURN = np.float32(2 * pi)
 UNDECIDED = np.int16(NONE)
+ROWS = 8
+"""Lattice rows that share scratch arrays."""
 _NAN, _ZERO, _ONE = np.float32(np.nan), np.float32(0.0), np.float32(1.0)
 
 
@@ -32,9 +34,9 @@ def cross_check(
     slopes = np.float32(other.slopes[0]), np.float32(other.slopes[1])
     _other_absolute_row(n + 4, other_order, o.top, o.down, o.left, o.step, other_phases.phase, *slopes, other_absolute)
     _cross_check(
-        len(order), order, t.top, t.down, t.left, t.step, t.lines, view.first_axis, phases.phase, phases.descriptors,
-        other_absolute, o.top, o.down, o.left, o.step, view.phase_to_column, correction.astype(np.float32), *slopes,
-        np.float32(view.settings.consistency_threshold), confirmed,
+        blocks(len(order), ROWS), order, t.top, t.down, t.left, t.step, t.lines, view.first_axis, phases.phase,
+        phases.descriptors, other_absolute, o.top, o.down, o.left, o.step, view.phase_to_column,
+        correction.astype(np.float32), *slopes, np.float32(view.settings.consistency_threshold), confirmed,
     )  # fmt: skip
 
 
@@ -107,11 +109,11 @@ def _other_absolute_row(
 
 @parallel
 def _cross_check(
-    a: int, order: Any, top: int, down: int, left: int, step: int, lines: Any, axis: int, phase: Any,
+    block: int, order: Any, top: int, down: int, left: int, step: int, lines: Any, axis: int, phase: Any,
     descriptors: Any, other_absolute: Any, other_top: int, other_down: int, other_left: int, other_step: int,
     table: Any, correction: Any, slope_x: Any, slope_y: Any, limit: Any, confirmed: Any,
 ) -> None:  # fmt: skip
-    """Keep orders of lattice row a where the search from the other camera's side gives the same absolute phase.
+    """Keep orders of :data:`ROWS` lattice rows that lead to the phase which the other camera's search finds there.
 
     Args:
         order, confirmed: (h, w) int16, the second is written; top .. step: position of the lattice in the image.
@@ -131,31 +133,32 @@ def _cross_check(
     wrapped, bias, absolute, part, low, high = floats[0], floats[1], floats[2], floats[3], floats[4], floats[5]
     x, y = (floats[6], floats[7]) if axis == 0 else (floats[7], floats[6])
     index, p, q = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.int32)
-    i = top + down * a
-    for b in range(w):
-        j = np.uint32(left + step * b)
-        wrapped[b], index[b] = phase[i, j], descriptors[i, j]
-    for b in range(w):
-        bias[b] = bias_of(index[b], wrapped[b])
-    _projector_positions(order[a], wrapped, bias, first, per_step, last, absolute, index, part)
-    for b in range(w):
-        k = np.uint32(index[b] + 2)
-        low[b], high[b] = table[k], table[k + np.uint32(1)]
-    _other_positions(low, high, part, lines[:, a], correction, floats[6], floats[7])
-    _nearest(y, r0, per_row, n, p)
-    _nearest(x, c0, per_column, m, q)
-    for b in range(w):
-        absolute[b] -= slope_x * x[b] + slope_y * y[b]
-    for b in range(w):
-        confirmed[a, b] = UNDECIDED
-        if order[a, b] == UNDECIDED or p[b] < -1 or q[b] < -1:
-            continue
-        # The middle comes first because it nearly always decides.
-        row, column, value = np.uint32(p[b] + 1), np.uint32(q[b] + 1), absolute[b]
-        good = abs(other_absolute[row + np.uint32(1), column + np.uint32(1)] - value) < limit
-        for t in range(9):
+    for a in range(block * ROWS, min((block + 1) * ROWS, order.shape[0])):
+        i = top + down * a
+        for b in range(w):
+            j = np.uint32(left + step * b)
+            wrapped[b], index[b] = phase[i, j], descriptors[i, j]
+        for b in range(w):
+            bias[b] = bias_of(index[b], wrapped[b])
+        _projector_positions(order[a], wrapped, bias, first, per_step, last, absolute, index, part)
+        for b in range(w):
+            k = np.uint32(index[b] + 2)
+            low[b], high[b] = table[k], table[k + np.uint32(1)]
+        _other_positions(low, high, part, lines[:, a], correction, floats[6], floats[7])
+        _nearest(y, r0, per_row, n, p)
+        _nearest(x, c0, per_column, m, q)
+        for b in range(w):
+            absolute[b] -= slope_x * x[b] + slope_y * y[b]
+        for b in range(w):
+            confirmed[a, b] = UNDECIDED
+            if order[a, b] == UNDECIDED or p[b] < -1 or q[b] < -1:
+                continue
+            # The middle comes first because it nearly always decides.
+            row, column, value = np.uint32(p[b] + 1), np.uint32(q[b] + 1), absolute[b]
+            good = abs(other_absolute[row + np.uint32(1), column + np.uint32(1)] - value) < limit
+            for t in range(9):
+                if good:
+                    break
+                good = abs(other_absolute[row + np.uint32(t // 3), column + np.uint32(t % 3)] - value) < limit
             if good:
-                break
-            good = abs(other_absolute[row + np.uint32(t // 3), column + np.uint32(t % 3)] - value) < limit
-        if good:
-            confirmed[a, b] = order[a, b]
+                confirmed[a, b] = order[a, b]

@@ -16,8 +16,9 @@ from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.packed_phasor import PHASOR_SCALE
 from pipeline.filter.mask_rejected import mask_rejected
 from pipeline.filter.point_filter import Gates, phase_weight
+from pipeline.filter.sigma_terms import ROWS as SIGMA_ROWS
 from pipeline.filter.sigma_terms import shares_of, widen_sigma
-from pipeline.filter.texture_agreement import Agreement, Scale, compare, scale_of, scales_of
+from pipeline.filter.texture_agreement import Agreement, Scale, compare, scale_and_inside, scales_of
 from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import MatchResult, Points
 from pipeline.match.subpixel_match import ROWS, refine
@@ -135,8 +136,7 @@ class CloudStage:
         if confirm is not None:
             confirm(match)
         watch.lap("refinement")
-        scale = scale_of(match, part, right)
-        inside = scale_of(match, part, right, points.depth_mm(self._stride), self._depths)
+        scale, inside = scale_and_inside(match, part, right, points.depth_mm(self._stride), self._depths)
         compare(match, part, right, scale, inside, self._agreement)
         if confirm is None:
             self.match_neighbours(part, right, part_order, scale, inside, correction, points)
@@ -149,8 +149,8 @@ class CloudStage:
             mosaic=self._mosaic, saturated=left.saturated,
         )  # fmt: skip
         widen_sigma(
-            len(valid), self._agreement.misfit, match, part.variance, shares, self._slopes, self._stride,
-            points.sigma_mm,
+            blocks(len(valid), SIGMA_ROWS), self._agreement.misfit, match, part.variance, shares, self._slopes,
+            self._stride, points.sigma_mm,
         )  # fmt: skip
         kept = np.empty(self._size, np.int16)
         # Only now: surfaces beyond the volume compete for the pixels of the right camera with false ones inside it.

@@ -10,6 +10,8 @@ from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 
 _NO = np.uint8(0)
+ROWS = 8
+"""Rows that share a scratch array."""
 REACH = 2
 """Half width of the neighbourhood that is compared, pixels."""
 
@@ -44,12 +46,13 @@ def _edge_score(label: Any, deviation: Any, losses: Any, i: int, j: int) -> tupl
 
 @parallel
 def edge_test(
-    i: int, label: Any, deviation: Any, losses: Any, high: int, limit: Any, per_neighbour: Any, misfit_of: Any, misfit:
-    Any, valid: Any,
+    block: int, label: Any, deviation: Any, losses: Any, high: int, limit: Any, per_neighbour: Any, misfit_of: Any,
+    misfit: Any, valid: Any,
 ) -> None:  # fmt: skip
     """Reject edge pixels, and pixels that deviate, whose surface does not agree in texture around them.
 
     Args:
+        block: number of :data:`ROWS` rows.
         label: (H, W) uint16, one more than the surface; deviation: (H, W) uint8; losses: by deviation.
         high: deviation from which a pixel inside a surface is tested, too.
         limit: mean loss from which a pixel with all its neighbours is rejected; per_neighbour: less for each missing.
@@ -58,15 +61,16 @@ def edge_test(
     """
     height, width = label.shape
     doubt = np.empty(width, np.uint8)
-    _label_changes(label[max(i - 1, 0)], label[i], label[min(i + 1, height - 1)], doubt)
-    row, checked = deviation[i], valid[i]
-    for j in range(width):
-        doubt[j] = (doubt[j] | np.uint8((row[j] >= high) & (label[i, j] != 0))) & checked[j]
-    for j in range(width):
-        if doubt[j] == 0:
-            continue
-        loss, beside = _edge_score(label, deviation, losses, i, j)
-        if loss > limit - per_neighbour * np.float32(8 - beside):
-            checked[j] = _NO
-        else:
-            misfit[i, j] = max(misfit[i, j], misfit_of[beside])
+    for i in range(block * ROWS, min((block + 1) * ROWS, height)):
+        _label_changes(label[max(i - 1, 0)], label[i], label[min(i + 1, height - 1)], doubt)
+        row, checked = deviation[i], valid[i]
+        for j in range(width):
+            doubt[j] = (doubt[j] | np.uint8((row[j] >= high) & (label[i, j] != 0))) & checked[j]
+        for j in range(width):
+            if doubt[j] == 0:
+                continue
+            loss, beside = _edge_score(label, deviation, losses, i, j)
+            if loss > limit - per_neighbour * np.float32(8 - beside):
+                checked[j] = _NO
+            else:
+                misfit[i, j] = max(misfit[i, j], misfit_of[beside])

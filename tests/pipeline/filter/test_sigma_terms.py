@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.filter.sigma_terms import BLUR, LAG, MOSAIC, SATURATED, THREE_CHIPS, Shares, shares_of, widen_sigma
+from pipeline.common.parallel_for import blocks
+from pipeline.filter.sigma_terms import BLUR, LAG, MOSAIC, ROWS, SATURATED, THREE_CHIPS, Shares, shares_of, widen_sigma
 from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS, MatchResult
 
 SHAPE = (150, 200)
@@ -24,7 +25,7 @@ def test_sigma_is_never_less_than_noise_and_grows_with_misfit_and_bias(stride: i
     variance = np.full(shape, 1e-4, np.float32)
     noise = rng.uniform(0.01, 0.1, (stride * 20, stride * 31)).astype(np.float32)
     sigma = noise.copy()
-    widen_sigma(len(misfit), misfit, match, variance, Shares(0.01, 0.2, 3e-5), SLOPES, stride, sigma)
+    widen_sigma(blocks(len(misfit), ROWS), misfit, match, variance, Shares(0.01, 0.2, 3e-5), SLOPES, stride, sigma)
     part = np.s_[::stride, ::stride]
     assert (sigma >= noise).all()
     bias = (match.residual_normalised.astype(float) - match.residual) * RESIDUAL_STEP
@@ -52,7 +53,7 @@ def test_bias_adds_as_far_as_the_other_image_keeps_less_modulation(axis: int, si
         sigma = np.ones((stride * 40, stride * 60), np.float32)
         slopes = (sign * 0.6 * stride, 0.0) if axis == 0 else (0.0, sign * 0.6 * stride)
         misfit = np.zeros(shape, np.uint8)
-        widen_sigma(len(misfit), misfit, match, variance, Shares(0.0, 0.0), slopes, stride, sigma)
+        widen_sigma(blocks(len(misfit), ROWS), misfit, match, variance, Shares(0.0, 0.0), slopes, stride, sigma)
         inner = sigma[::stride, ::stride][LAG:-LAG, LAG:-LAG]
         assert (sigma >= 1).all()
         return inner

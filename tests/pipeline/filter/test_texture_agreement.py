@@ -14,6 +14,7 @@ from pipeline.filter.texture_agreement import (
     NO_MATCH,
     Agreement,
     compare,
+    scale_and_inside,
     scale_of,
 )
 from pipeline.match.match_result import PIXEL_STEPS, MatchResult
@@ -51,8 +52,9 @@ def _match(valid: Any | None = None) -> MatchResult:
 
 
 def _compared(match: MatchResult, left: Any, right: Any) -> tuple[Agreement, Any]:
-    scale, out = scale_of(match, left, right), Agreement.empty(SHAPE)
-    compare(match, left, right, scale, scale_of(match, left, right, np.ones(SHAPE), (0.0, 2.0)), out)
+    out = Agreement.empty(SHAPE)
+    scale, inside = scale_and_inside(match, left, right, np.ones(SHAPE), (np.float32(0.0), np.float32(2.0)))
+    compare(match, left, right, scale, inside, out)
     return out, scale
 
 
@@ -71,6 +73,20 @@ def test_a_wrong_match_deviates_more_and_lets_a_phase_error_be_expected() -> Non
     wrong = np.s_[30:60, 100:150]
     assert np.median(found.deviation[wrong]) > 4 * np.median(found.deviation[:30])
     assert np.median(found.misfit[wrong]) > 10 * max(np.median(found.misfit[:30]), 1)
+
+
+def test_the_scale_inside_the_limits_is_that_of_a_match_without_the_other_pixels() -> None:
+    left, right = _images(np.random.default_rng(6))
+    match, depth = _match(), np.full(SHAPE, 1000.0)
+    match.right_u[:, 80:] += 17 * PIXEL_STEPS  # a wall behind the volume whose texture differs
+    depth[:, 80:] = 2000.0
+    limits = np.float32(900.0), np.float32(1100.0)
+    scale, inside = scale_and_inside(match, left, right, depth, limits)
+    assert scale == scale_of(match, left, right)
+    assert inside.mean_sigma < 0.5 * scale.mean_sigma
+    match.valid[:, 80:] = 0
+    assert inside == scale_of(match, left, right)
+    assert scale_and_inside(match, left, right, depth, limits) == (inside, inside)
 
 
 def test_without_texture_unrelated_pixels_differ_no_more_than_matched_ones() -> None:

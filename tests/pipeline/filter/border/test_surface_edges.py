@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.filter.border.surface_edges import edge_test
+from pipeline.common.parallel_for import blocks
+from pipeline.filter.border.surface_edges import ROWS, edge_test
 from pipeline.filter.point_filter import EDGE_LOSS, HIGH, LOSS_PER_NEIGHBOUR, MISFIT_OF
 from pipeline.filter.texture_agreement import LOSS
 
@@ -14,7 +15,7 @@ from pipeline.filter.texture_agreement import LOSS
 def _tested(label: Any, deviation: Any) -> tuple[Any, Any]:
     valid, misfit = (label > 0).astype(np.uint8), np.zeros(label.shape, np.uint8)
     edge_test(
-        len(label), label, deviation, LOSS.astype(np.float32), HIGH, np.float32(EDGE_LOSS),
+        blocks(len(label), ROWS), label, deviation, LOSS.astype(np.float32), HIGH, np.float32(EDGE_LOSS),
         np.float32(LOSS_PER_NEIGHBOUR), MISFIT_OF, misfit, valid,
     )  # fmt: skip
     return valid, misfit
