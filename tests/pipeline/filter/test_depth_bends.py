@@ -1,0 +1,107 @@
+"""Sharp bends of the depth raise the standard deviation, noise and smooth surfaces do not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.common.parallel_for import blocks
+from pipeline.filter.depth_bends import FAR, NOISE, ROWS, SHARE, widen_at_bends
+
+SHAPE, SIGMA = (3 * ROWS + 5, 90), 0.03
+
+
+def _cloud(depth: Any, sigma: float = SIGMA) -> tuple[Any, Any]:
+    xyz = np.zeros((*depth.shape, 3), np.float32)
+    xyz[..., 2] = depth
+    return xyz, np.where(np.isfinite(depth), np.float32(sigma), np.float32(np.nan)).astype(np.float32)
+
+
+def _widened(depth: Any, stride: int = 1, sigma: float = SIGMA) -> Any:
+    xyz, sigmas = _cloud(depth, sigma)
+    before = xyz.copy()
+    widen_at_bends(blocks(-(-len(depth) // stride), ROWS), stride, xyz, sigmas)
+    np.testing.assert_array_equal(xyz, before)
+    return sigmas
+
+
+def _expected(depth: Any) -> Any:
+    """The same for every point by itself, from the definition."""
+    z = np.pad(depth.astype(np.float64), 2 * FAR, constant_values=np.nan)
+
+    def at(down: int, right: int) -> Any:
+        return z[2 * FAR + down : len(z) - 2 * FAR + down, 2 * FAR + right : z.shape[1] - 2 * FAR + right]
+
+    more = np.zeros(depth.shape)
+    for down, right in ((0, 1), (1, 0)):
+        bends = [at(-down, -right) - 2 * depth + at(down, right)]
+        inner = [depth - 2 * at(s * FAR * down, s * FAR * right) + at(2 * s * FAR * down, 2 * s * FAR * right)
+                 for s in (-1, 1)]  # fmt: skip
+        both = np.isfinite(at(-FAR * down, -FAR * right) + at(FAR * down, FAR * right))
+        bends.append(np.where(both, 0.0, np.where(np.isfinite(inner[0]), inner[0], inner[1])))
+        for bend in bends:
+            more += np.maximum(np.nan_to_num(bend) ** 2 - float(NOISE) * SIGMA**2, 0.0)
+    return np.sqrt(SIGMA**2 + float(SHARE) * more)
+
+
+def _scene() -> Any:
+    rng = np.random.default_rng(1)
+    i, j = np.indices(SHAPE)
+    depth = 900 + 0.2 * j - 0.1 * i + SIGMA * rng.standard_normal(SHAPE)
+    depth[40:, 30:] += 2.0
+    depth[rng.random(SHAPE) < 0.2] = np.nan
+    return depth.astype(np.float32)
+
+
+def test_every_point_gets_the_variance_that_its_differences_define() -> None:
+    depth = _scene()
+    found, known = _widened(depth), np.isfinite(depth)
+    assert np.isnan(found[~known]).all()
+    np.testing.assert_allclose(found[known], _expected(depth)[known], rtol=2e-3)
+
+
+def test_noise_and_curvature_leave_sigma_nearly_as_it_is() -> None:
+    i, j = np.indices(SHAPE)
+    noise = SIGMA * np.random.default_rng(2).standard_normal(SHAPE)
+    ball = 900 - np.sqrt(50.0**2 - (0.4 * (j - 45)) ** 2 - (0.4 * (i - 50)) ** 2)
+    for depth in (900 + 0.3 * j + noise, ball + noise):
+        found = _widened(depth.astype(np.float32))
+        assert (found >= np.float32(SIGMA)).all()
+        assert np.sqrt(np.mean(found**2)) < 1.1 * SIGMA
+    np.testing.assert_allclose(_widened(ball.astype(np.float32)), SIGMA, rtol=1e-3)
+
+
+@pytest.mark.parametrize("step", [1.5, 2.0, 5.0])
+def test_points_between_two_depths_get_a_sigma_of_their_error(step: float) -> None:
+    """A window of three rows, weights 1/4, 1/2, 1/4, over a step between rows."""
+    i = np.indices(SHAPE)[0]
+    truth = np.where(i < 50, 900.0, 900.0 + step)
+    padded = np.pad(truth, ((1, 1), (0, 0)), mode="edge")
+    depth = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4
+    found, error = _widened(depth.astype(np.float32)), np.abs(depth - truth)
+    mixed = error > 0
+    assert mixed.any()
+    assert (0.5 * error[mixed] < found[mixed]).all() and (found[mixed] < 1.5 * error[mixed] + SIGMA).all()
+    np.testing.assert_allclose(found[(i < 44) | (i > 56)], SIGMA, rtol=1e-5)
+
+
+def test_the_end_of_a_surface_that_drifts_off_is_noticed() -> None:
+    """Beside the end of what a camera sees, the error grows over some pixels; both neighbours err alike."""
+    depth = np.full(SHAPE, 900.0)
+    depth[:, 60:] = np.nan
+    error = np.array([0.1, 0.4, 0.7, 0.7])
+    depth[:, 56:60] -= error
+    found = _widened(depth.astype(np.float32))
+    assert (found[:, 57:60] > 0.4 * error[1:]).all()
+    np.testing.assert_allclose(found[:, :52], SIGMA, rtol=1e-5)
+
+
+def test_of_a_grid_with_a_stride_only_measured_pixels_count() -> None:
+    depth = _scene()
+    sparse = np.full((2 * SHAPE[0] - 1, 2 * SHAPE[1]), np.nan, np.float32)
+    sparse[::2, ::2] = depth
+    found = _widened(sparse, stride=2)
+    np.testing.assert_array_equal(found[::2, ::2], _widened(depth))
+    assert np.isnan(found[1::2]).all() and np.isnan(found[:, 1::2]).all()
