@@ -25,6 +25,7 @@ from pipeline.filter import point_filter
 from pipeline.filter.border.border_figures import border_figures
 from pipeline.filter.border.border_model import FIGURES
 from pipeline.filter.border.border_test import largest_odds
+from pipeline.reconstruct import orders_to_cloud
 from sim.evaluate.point_errors import distance_mm
 from sim.evaluate.score import WRONG_MM
 
@@ -53,7 +54,11 @@ def samples(case: Case, seed: int) -> tuple[Floats, Floats]:
 
     pair = rendered.stored_pair(case, seed)
     reconstructor = case.reconstructor()
-    with mock.patch.object(point_filter, "border_test", collect):
+    # Bends come after the border test, and are not part of its errors.
+    with (
+        mock.patch.object(point_filter, "border_test", collect),
+        mock.patch.object(orders_to_cloud, "widen_at_bends", lambda *_: None),
+    ):
         cloud = reconstructor.reconstruct(pair.left, pair.right)
     truth = pair.truth_left
     with np.errstate(invalid="ignore"):

@@ -71,6 +71,7 @@ class CloudStage:
         )  # fmt: skip
         self._agreement = Agreement.empty(shape)
         self._slope = np.float32(self._slopes[0])
+        self._per_order = np.float32(abs(left.depth.span * left.order_step))
 
     def match(
         self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64],
@@ -157,7 +158,9 @@ class CloudStage:
         kept = np.empty(self._size, np.int16)
         # Only now: surfaces beyond the volume compete for the pixels of the right camera with false ones inside it.
         mask_rejected(len(kept), valid, part_order, self._stride, *self._depths, points.xyz, points.sigma_mm, kept)
-        widen_at_bends(blocks(len(valid), BEND_ROWS), self._stride, points.xyz, points.sigma_mm)
+        widen_at_bends(
+            blocks(len(valid), BEND_ROWS), self._stride, self._per_order, points.xyz, points.sigma_mm
+        )  # fmt: skip
         cloud = Cloud(
             xyz=points.xyz,
             sigma_mm=points.sigma_mm,

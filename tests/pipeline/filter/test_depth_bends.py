@@ -11,6 +11,8 @@ from pipeline.common.parallel_for import blocks
 from pipeline.filter.depth_bends import FAR, NOISE, ROWS, SHARE, widen_at_bends
 
 SHAPE, SIGMA = (3 * ROWS + 5, 90), 0.03
+PER_ORDER = np.float32(30.0 / 900.0**2)
+"""Fringe orders 30 mm apart at 900 mm."""
 
 
 def _cloud(depth: Any, sigma: float = SIGMA) -> tuple[Any, Any]:
@@ -22,7 +24,7 @@ def _cloud(depth: Any, sigma: float = SIGMA) -> tuple[Any, Any]:
 def _widened(depth: Any, stride: int = 1, sigma: float = SIGMA) -> Any:
     xyz, sigmas = _cloud(depth, sigma)
     before = xyz.copy()
-    widen_at_bends(blocks(-(-len(depth) // stride), ROWS), stride, xyz, sigmas)
+    widen_at_bends(blocks(-(-len(depth) // stride), ROWS), stride, PER_ORDER, xyz, sigmas)
     np.testing.assert_array_equal(xyz, before)
     return sigmas
 
@@ -96,6 +98,14 @@ def test_the_end_of_a_surface_that_drifts_off_is_noticed() -> None:
     found = _widened(depth.astype(np.float32))
     assert (found[:, 57:60] > 0.4 * error[1:]).all()
     np.testing.assert_allclose(found[:, :52], SIGMA, rtol=1e-5)
+
+
+def test_points_of_another_surface_are_no_neighbours() -> None:
+    depth = np.full(SHAPE, 900.0)
+    depth[:, 40:] += 20.0  # more than half a fringe order
+    np.testing.assert_array_equal(_widened(depth.astype(np.float32)), np.float32(SIGMA))
+    depth[:, 40:] -= 10.0
+    assert (_widened(depth.astype(np.float32))[:, 39:41] > 3.0).all()
 
 
 def test_of_a_grid_with_a_stride_only_measured_pixels_count() -> None:
