@@ -1,7 +1,8 @@
 """A loop that is shown from its first image on, while a process renders the others.
 
 The process writes into a temporary folder whose files both processes map: ``left.npy`` and ``right.npy``, of their full
-size, and ``ready``, the number of images that are complete. With the last one the folder becomes that of the loop.
+size, ``sums.npy``, the checksums of the images, and ``ready``, the number of those that are complete. With the last one
+the folder becomes that of the loop. A loop that is ended before is kept, and the next one goes on with it.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ import os
 import shutil
 import tempfile
 import time
+import zlib
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +27,7 @@ from drivers.protocols import SIDES
 from sim.devices.options import SimOptions
 from sim.devices.rendered_loop import Image, Loop, Progress, folder_of
 
-READY = "ready"
+READY, SUMS = "ready", "sums"
 _POLL_S, _END_S = 0.05, 2.0
 
 log = logging.getLogger("fringed.sim")
@@ -46,9 +49,10 @@ class GrowingLoop:
     def __init__(self, options: SimOptions, progress: Progress | None = None) -> None:
         folder = folder_of(options)
         folder.parent.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
         self._temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
         try:
-            self._loop, self._ready = _new_files(options, self._temporary)
+            self._loop, self._ready = _kept_files(options, self._temporary) or _new_files(options, self._temporary)
             arguments = [json.dumps(plain_values(options)), str(self._temporary), str(os.getpid())]
             self._process = child_process.start("sim.devices.loop_process", arguments)
         except BaseException:
@@ -71,11 +75,11 @@ class GrowingLoop:
         return self._loop.pair(shown(index, self.ready, len(self._loop)))
 
     def close(self) -> None:
-        """End the process; an unfinished loop is removed."""
+        """End the process; the images of an unfinished loop are kept for the next one."""
         self._process.terminate()
         child_process.end(self._process, _END_S)
         self._output.join(_END_S)
-        shutil.rmtree(self._temporary, ignore_errors=True)
+        keep_unfinished(self._temporary, self._folder)
 
     def _await_first(self, progress: Progress | None) -> None:
         while not self.ready:
@@ -105,22 +109,71 @@ def plain_values(options: SimOptions) -> dict[str, object]:
     return {name: getattr(options, name) for name in names} | structures | paths
 
 
-def open_files(folder: Path) -> tuple[Loop, NDArray[np.uint16]]:
-    """The images of a temporary folder, and the number of those that are complete, (1,); both can be written."""
-    left, right = (np.lib.format.open_memmap(folder / f"{side}.npy", "r+") for side in SIDES)
-    return Loop(left, right), np.memmap(folder / READY, np.uint16, "r+", shape=(1,))
+def open_files(folder: Path) -> tuple[Loop, NDArray[np.uint16], NDArray[np.uint32]]:
+    """The images of a temporary folder, the number of those that are complete, (1,), and the checksums (frames, 2).
+
+    All can be written.
+    """
+    left, right, sums = (np.lib.format.open_memmap(folder / f"{name}.npy", "r+") for name in (*SIDES, SUMS))
+    return Loop(left, right), np.memmap(folder / READY, np.uint16, "r+", shape=(1,)), sums
+
+
+def sums_of(loop: Loop, index: int) -> tuple[int, int]:
+    """Checksums of the left and the right image of this number."""
+    return zlib.crc32(loop.left[index].data), zlib.crc32(loop.right[index].data)
+
+
+def keep_unfinished(temporary: Path, folder: Path) -> None:
+    """Give a temporary folder with some images the name under which the next loop looks for them, or remove it."""
+    try:
+        if any((temporary / READY).read_bytes()):
+            shutil.rmtree(_unfinished(folder), ignore_errors=True)
+            temporary.rename(_unfinished(folder))
+    except OSError:
+        pass  # finished, or another process keeps its own
+    shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _unfinished(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}-unfinished")
+
+
+def _kept_files(options: SimOptions, folder: Path) -> tuple[Loop, NDArray[np.uint16]] | None:
+    """The files of a loop that was ended before, moved to this folder; None if there are none as they should be."""
+    shape, dtype = _format_of(options)
+    try:
+        _unfinished(folder_of(options)).rename(folder)
+        loop, ready, sums = open_files(folder)
+        if any(images.shape != shape or images.dtype != dtype for images in (loop.left, loop.right)):
+            return None
+        found = min(int(ready[0]), options.frames)
+        ready[0] = next((k for k in range(found) if sums_of(loop, k) != tuple(sums[k])), found)
+    except (OSError, ValueError, EOFError, IndexError):
+        return None
+    return _read_files(folder) if ready[0] else None
+
+
+def _format_of(options: SimOptions) -> tuple[tuple[int, ...], Any]:
+    """Shape and type of the images of one camera."""
+    columns, rows = options.layout.camera_size
+    shape = (options.frames, rows, columns, *((3,) if options.encoding == "rgb8" else ()))
+    return shape, np.dtype(np.uint16 if options.encoding.endswith("16") else np.uint8)
 
 
 def _new_files(options: SimOptions, folder: Path) -> tuple[Loop, NDArray[np.uint16]]:
-    """The same, of new files that occupy all of their space; this process only reads them."""
-    columns, rows = options.layout.camera_size
-    shape = (options.frames, rows, columns, *((3,) if options.encoding == "rgb8" else ()))
-    dtype = np.uint16 if options.encoding.endswith("16") else np.uint8
+    """The same, of new files that occupy all of their space."""
+    shape, dtype = _format_of(options)
     for side in SIDES:
         path = folder / f"{side}.npy"
         np.lib.format.open_memmap(path, "w+", dtype, shape)
         with path.open("r+b") as file:
             os.posix_fallocate(file.fileno(), 0, path.stat().st_size)  # a full disk is an error here, later a signal
+    np.save(folder / f"{SUMS}.npy", np.zeros((options.frames, 2), np.uint32))
     (folder / READY).write_bytes(bytes(2))
+    return _read_files(folder)
+
+
+def _read_files(folder: Path) -> tuple[Loop, NDArray[np.uint16]]:
+    """Images and their number; this process only reads them."""
     left, right = (np.load(folder / f"{side}.npy", mmap_mode="r", allow_pickle=False) for side in SIDES)
     return Loop(left, right), np.memmap(folder / READY, np.uint16, "r", shape=(1,))

@@ -120,11 +120,11 @@ def render_loop(options: SimOptions, progress: Progress | None = None) -> Loop:
     return Loop(_frozen([left for left, _ in pairs]), _frozen([right for _, right in pairs]))
 
 
-def rendered_pairs(options: SimOptions) -> Iterator[tuple[Image, Image]]:
-    """The pairs of the loop in order; a scene at rest is rendered once and only the noise differs."""
+def rendered_pairs(options: SimOptions, first: int = 0) -> Iterator[tuple[Image, Image]]:
+    """The pairs of the loop in order, from a number on; a scene at rest is rendered once and only the noise differs."""
     scene = scene_of(options)
     counts = None
-    for index in range(options.frames):
+    for index in range(first, options.frames):
         if counts is None or scene.moves:
             counts = _counts(options, scene, index)
         yield render_pair.with_noise(counts, options.optics, options.seed * 1_000_003 + index, options.encoding)

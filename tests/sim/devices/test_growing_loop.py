@@ -76,9 +76,59 @@ def test_the_process_renders_what_the_options_name(options: SimOptions, tmp_path
         assert loops.folder_of(from_mapping(plain_values(other))) == loops.folder_of(other)
 
 
-def test_an_unfinished_loop_leaves_nothing(options: SimOptions) -> None:
-    GrowingLoop(replace(options, frames=1000)).close()
-    assert names(options) == []
+def unfinished(options: SimOptions) -> Path:
+    """A loop of 1000 images that was ended after three or more of them."""
+    growing = GrowingLoop(options)
+    wait_until(lambda: growing.ready >= 3)
+    growing.close()
+    assert options.cache_dir is not None
+    (folder,) = options.cache_dir.iterdir()
+    assert folder.name == f"{loops.folder_of(options).name}-unfinished"
+    return folder
+
+
+def test_an_unfinished_loop_goes_on_where_it_ended(options: SimOptions) -> None:
+    options = replace(options, frames=1000)
+    folder = unfinished(options)
+    kept = int.from_bytes((folder / "ready").read_bytes(), sys.byteorder)
+    growing = GrowingLoop(options)
+    try:
+        assert growing.ready >= kept >= 3
+        assert [path for path in names(options) if path == "loop-"] == []
+        wait_until(lambda: growing.ready >= kept + 2)
+        expected = loops.rendered_pairs(options)
+        for index, (left, right) in zip(range(kept + 2), expected, strict=False):
+            found = growing.pair(index)
+            assert np.array_equal(found[0], left) and np.array_equal(found[1], right)
+    finally:
+        growing.close()
+
+
+@pytest.mark.parametrize("damage", ["image", "first image", "short", "sums", "number", "other shape"])
+def test_damaged_images_of_an_unfinished_loop_are_rendered_again(options: SimOptions, damage: str) -> None:
+    options = replace(options, frames=1000)
+    folder = unfinished(options)
+    left = folder / "left.npy"
+    if "image" in damage:
+        images = np.lib.format.open_memmap(left, "r+")
+        images[0 if damage == "first image" else 2, 5, 5] ^= 1
+        images.flush()
+    elif damage == "short":
+        left.write_bytes(left.read_bytes()[:100])
+    elif damage == "sums":
+        (folder / "sums.npy").write_bytes(b"no sums")
+    elif damage == "number":
+        (folder / "ready").write_bytes((65535).to_bytes(2, sys.byteorder))
+    else:
+        np.save(left, np.zeros((4, 5, 6), np.uint8))
+    growing = GrowingLoop(options)
+    try:
+        wait_until(lambda: growing.ready >= 4)
+        for index, (one, other) in zip(range(4), loops.rendered_pairs(options), strict=False):
+            found = growing.pair(index)
+            assert np.array_equal(found[0], one) and np.array_equal(found[1], other)
+    finally:
+        growing.close()
 
 
 def test_the_process_ends_with_the_one_that_started_it(options: SimOptions) -> None:
@@ -91,7 +141,8 @@ os._exit(0)
 """
     command = [sys.executable, "-c", code, json.dumps(plain_values(replace(options, frames=1000)))]
     subprocess.run(command, check=True, timeout=60)
-    wait_until(lambda: names(options) == [])
+    kept = f"{loops.folder_of(replace(options, frames=1000)).name}-unfinished"
+    wait_until(lambda: [path.name for path in (options.cache_dir or Path()).iterdir()] == [kept])
 
 
 def test_a_scene_that_cannot_be_rendered_is_an_error(options: SimOptions, tmp_path: Path) -> None:
