@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.common.tables import Table
-from benchmarks.reconstruction import rendered
+from benchmarks.reconstruction import ceiling, rendered
 from benchmarks.reconstruction.cases import HARD, Case, random_case
 from sim.evaluate.point_errors import RINGS, PointErrors, Ring, point_errors
 
@@ -93,11 +93,15 @@ def main(given: list[str]) -> int:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--case", default="", help="those whose name contains this")
     parser.add_argument("--random", type=int, default=0, help="as many random scenes and rigs instead")
+    parser.add_argument("--ceiling", action="store_true", help="coverage with true fringe orders and without filters")
     options = parser.parse_args(given)
     every = [random_case(number) for number in range(options.random)] or HARD
     cases = [scaled(case, options.scale) for case in every if options.case in case.name]
-    tables, _, promises = by_case(cases, options.seeds)
     console = Console(width=None if sys.stdout.isatty() else 170)
+    if options.ceiling:
+        ceiling.table_of(cases, options.seeds).print(console)
+        return 0
+    tables, _, promises = by_case(cases, options.seeds)
     for table in tables:
         table.print(console)
     for what in (what for what, kept in promises if not kept):
