@@ -33,8 +33,8 @@ def table_of(cases: Sequence[Case], seeds: int) -> Table:
         found = np.mean([_shares(case, seed) for seed in range(seeds)], axis=0)
         table.add(case.name, *(f"{100 * share:.2f}" for share in found))
     table.notes.append(
-        "The last columns split the one before by the distance to an edge. Not included: every error of the order search "
-        "and of the filters, and all wrong points that these reject."
+        "The last columns split the one before by the distance to an edge. Errors of the order search and of the "
+        "filters are not included, nor what these must reject because it is wrong."
     )
     return table
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from pipeline.common.jit import serial
+from pipeline.common.median import median
 from pipeline.common.parallel_for import parallel
 from pipeline.match.match_result import MatchResult
 
@@ -115,21 +115,29 @@ def local_outliers(
         )
 
 
+@serial
+def _usual_means(valid: Any, first: Any, second: Any, step: int, out: Any) -> int:
+    """Absolute mean of the smaller residual of every n-th neighbourhood without an unknown pixel; their number."""
+    size, n = 2 * RADIUS + 1, 0
+    for top in range(0, valid.shape[0] - size + 1, step):
+        for left in range(0, valid.shape[1] - size + 1, step):
+            known, sum1, sum2 = True, 0, 0
+            for i in range(top, top + size):
+                for j in range(left, left + size):
+                    known &= valid[i, j] != 0
+                    sum1, sum2 = sum1 + first[i, j], sum2 + second[i, j]
+            if known:
+                out[n] = min(abs(sum1), abs(sum2)) / size**2
+                n += 1
+    return n
+
+
 def usual_mean(match: MatchResult) -> int:
     """Median over the image of the mean of the smaller of both residuals in a neighbourhood, steps; 0 without any."""
     step = max(1, round((match.valid.size / _SAMPLES) ** 0.5))
-    size = 2 * RADIUS + 1
-    if min(match.valid.shape) < size:
-        return 0
-    valid, *residuals = (
-        sliding_window_view(plane, (size, size))[::step, ::step]
-        for plane in (match.valid, match.residual_normalised, match.residual)
-    )
-    some = valid.all(axis=(2, 3))
-    if not some.any():
-        return 0
-    means = [np.abs(residual[some].mean(axis=(1, 2))) for residual in residuals]
-    return int(np.median(np.minimum(*means)))
+    means = np.empty((match.valid.shape[0] // step + 1) * (match.valid.shape[1] // step + 1))
+    n = _usual_means(match.valid, match.residual_normalised, match.residual, step, means)
+    return int(median(means[:n])) if n else 0
 
 
 @serial

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.common.jit import serial
+from pipeline.common.median import median
 from pipeline.common.parallel_for import parallel
 from pipeline.filter.texture_agreement import MISFIT_STEPS
 from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS, MatchResult
@@ -94,8 +95,8 @@ def _scatter(
     if np.count_nonzero(some) < _LEAST_SAMPLES:
         return 0.0, 0.0
     ahead, behind = (match.residual_normalised[part][grid][some].astype(np.float32) for part in (along, here))
-    spread = 1.4826 * float(np.median(np.abs(ahead - behind))) * RESIDUAL_STEP
-    return spread**2, float(np.median(variance[here][grid][some]))
+    spread = 1.4826 * median(np.abs(ahead - behind)) * RESIDUAL_STEP
+    return spread**2, median(variance[here][grid][some])
 
 
 @serial

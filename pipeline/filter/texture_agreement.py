@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
+from pipeline.common.median import median
 from pipeline.common.parallel_for import blocks, parallel
 from pipeline.match.match_result import PIXEL_STEPS, MatchResult
 
@@ -159,35 +160,55 @@ def scale_and_inside(
 ) -> tuple[Scale, Scale]:
     """:func:`scale_of`, and the scale of the pixels whose depth (H, W) lies within the limits, mm."""
     at, samples = _samples(match, left, right)
-    scale, z = _scale(samples), depth[at]
+    scale, z = _scale(samples), depth[np.divmod(at, depth.shape[1])]
     inside = (z >= limits[0]) & (z <= limits[1])
-    return scale, scale if inside.all() else _scale([(a[inside], b[inside]) for a, b in samples])
+    return scale, scale if inside.all() else _scale(samples[:, inside])
 
 
-def _samples(match: MatchResult, left: Any, right: Any) -> tuple[Any, list[tuple[Any, Any]]]:
-    """Matched pixels of a grid (two index arrays), and the means and amplitudes of both images there."""
+@serial
+def _sample(
+    valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, right_mean: Any, right_amplitude: Any, step: int, at: Any,
+    out: Any,
+) -> int:  # fmt: skip
+    """Pixels (n,) and values (4, n) of :func:`_samples`; their number."""
+    height, width = right_mean.shape
+    n = 0
+    for i in range(0, valid.shape[0], step):
+        for j in range(0, valid.shape[1], step):
+            if valid[i, j] != 0:
+                y = min(np.int64(v[i, j]) // PIXEL_STEPS, height - 1)
+                x = min(np.int64(u[i, j]) // PIXEL_STEPS, width - 1)
+                out[0, n], out[1, n] = mean[i, j], right_mean[y, x]
+                out[2, n], out[3, n] = amplitude[i, j], right_amplitude[y, x]
+                at[n] = i * valid.shape[1] + j
+                n += 1
+    return n
+
+
+def _samples(match: MatchResult, left: Any, right: Any) -> tuple[Any, Any]:
+    """Numbers (n,) of the matched pixels of a grid, and left and right mean, left and right amplitude there (4, n)."""
     step = max(1, round((match.valid.size / _SAMPLES) ** 0.5))
-    part = np.s_[::step, ::step]
-    some = np.nonzero(match.valid[part])
-    at = some[0] * step, some[1] * step
-    height, width = right.mean.shape
-    x = np.minimum(match.right_u[at].astype(np.int32) // PIXEL_STEPS, width - 1)
-    y = np.minimum(match.right_v[at].astype(np.int32) // PIXEL_STEPS, height - 1)
-    planes = (left.mean, right.mean), (left.modulation, right.modulation)
-    return at, [(here[at].astype(np.float32), there[y, x].astype(np.float32)) for here, there in planes]
+    height, width = (-(-n // step) for n in match.valid.shape)
+    at, values = np.empty(height * width, np.int32), np.empty((4, height * width), np.float32)
+    n = _sample(
+        match.valid, match.right_u, match.right_v, left.mean, left.modulation, right.mean, right.modulation, step, at,
+        values,
+    )  # fmt: skip
+    return at[:n], values[:, :n]
 
 
-def _scale(samples: list[tuple[Any, Any]]) -> Scale:
-    count = len(samples[0][0])
+def _scale(samples: Any) -> Scale:
+    """The scale of values (4, n), see :func:`_samples`."""
+    count = samples.shape[1]
     if count < _LEAST_SAMPLES:
         return Scale(0.0, 0.02, 0.0, 0.04, 0.0, 0.0)
     values: list[float] = []
     squares = np.zeros((2, count), np.float32)
     limits = (_LEAST_MEAN, 1 - AMPLITUDE_SHARE), (_LEAST_AMPLITUDE, AMPLITUDE_SHARE)
-    for (a, b), (least, share) in zip(samples, limits, strict=True):
+    for (a, b), (least, share) in zip((samples[:2], samples[2:]), limits, strict=True):
         ratio = _relative_difference(a, b)
-        centre = float(np.median(ratio))
-        sigma = max(1.4826 * float(np.median(np.abs(ratio - centre))), least)
+        centre = median(ratio)
+        sigma = max(1.4826 * median(np.abs(ratio - centre)), least)
         values += [centre, sigma]
         squares[0] += share * ((ratio - centre) / sigma) ** 2
         squares[1] += share * ((_relative_difference(a, np.roll(b, _APART)) - centre) / sigma) ** 2

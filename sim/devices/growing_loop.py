@@ -124,7 +124,7 @@ def sums_of(loop: Loop, index: int) -> tuple[int, int]:
 
 
 def keep_unfinished(temporary: Path, folder: Path) -> None:
-    """Give a temporary folder with some images the name under which the next loop looks for them, or remove it."""
+    """Give a temporary folder with some images the name under which the next loop finds them, or remove it."""
     try:
         if any((temporary / READY).read_bytes()):
             shutil.rmtree(_unfinished(folder), ignore_errors=True)

@@ -20,7 +20,7 @@ _LOWEST_PRIORITY = 19
 
 
 def main() -> None:
-    """Render what is not rendered yet, and give the folder its name; keep what there is when the process is ended before."""
+    """Render what is not rendered yet, and give the folder its name; what there is at an earlier end is kept."""
     values, name, parent = sys.argv[1:]
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
