@@ -69,7 +69,8 @@ class Gates:
         self._right, self._projector, self._settings, self._smallest = right, projector, settings, smallest
         self._phase_weight, self._stride = phase_weight, stride
         self._largest_odds = largest_odds(settings.edge_probability)
-        self._per_order = np.float32(abs(depth.span * order_step))
+        #: Change of 1 / z from one fringe order to the next, 1 / mm.
+        self.per_order = np.float32(abs(depth.span * order_step))
         self._slopes = round(slopes[0] / (2 * np.pi) * TURN_STEPS), round(slopes[1] / (2 * np.pi) * TURN_STEPS)
         self._base, self._span = np.float32(depth.base), np.float32(depth.span)
         self._tolerance = int(order_step / 4 * PARAMETER_STEPS)
@@ -133,7 +134,7 @@ class Gates:
             modulation, mean, *points,
         )  # fmt: skip
         border_test(
-            blocks(len(label), BORDER_ROWS), planes, _LOSS, self._stride, self._per_order, MODEL,
+            blocks(len(label), BORDER_ROWS), planes, _LOSS, self._stride, self.per_order, MODEL,
             self._largest_odds, valid, agreement.misfit, points.sigma_mm,
         )  # fmt: skip
         reject_eroded(valid, surfaces, self._smallest)

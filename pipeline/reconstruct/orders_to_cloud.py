@@ -71,7 +71,6 @@ class CloudStage:
         )  # fmt: skip
         self._agreement = Agreement.empty(shape)
         self._slope = np.float32(self._slopes[0])
-        self._per_order = np.float32(abs(left.depth.span * left.order_step))
 
     def match(
         self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64],
@@ -159,7 +158,7 @@ class CloudStage:
         # Only now: surfaces beyond the volume compete for the pixels of the right camera with false ones inside it.
         mask_rejected(len(kept), valid, part_order, self._stride, *self._depths, points.xyz, points.sigma_mm, kept)
         widen_at_bends(
-            blocks(len(valid), BEND_ROWS), self._stride, self._per_order, points.xyz, points.sigma_mm
+            blocks(len(valid), BEND_ROWS), self._stride, self._gates.per_order, points.xyz, points.sigma_mm
         )  # fmt: skip
         cloud = Cloud(
             xyz=points.xyz,

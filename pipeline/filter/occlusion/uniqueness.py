@@ -218,12 +218,11 @@ class Uniqueness:
         )  # fmt: skip
         near, far = self._near[: 64 * shared], self._far[: 64 * shared]
         occlusion_conflicts.nearest_and_farthest(c.entries, c.place, c.depth, near, far)
-        # With a cache line between the parts: threads that write to the same one wait for each other.
-        against = np.zeros((PARTS, len(size) + 32), np.int32)
+        against = np.zeros((PARTS, len(size)), np.int32)
         occlusion_conflicts.find_conflicts(
             PARTS, c.entries, c.place, c.surface, c.value, near, far, tolerance, c.conflict, against
         )
-        share = (against[:, : len(size)].sum(axis=0) / size).astype(np.float32)
+        share = (against.sum(axis=0) / size).astype(np.float32)
         occlusion_conflicts.arbitrate(
             PARTS,
             c.entries,
