@@ -38,8 +38,8 @@ _U, _FRACTION, _VISIBLE, _T0, _T1, _COST = (k * TILE for k in range(11, 17))
 SLOTS = 17
 _CELL, _P0, _P1, _PHASE, _NORMALISED = (k * TILE for k in range(5))
 INTEGER_SLOTS = 5
-MOVE, COST = _MOVE, _COST
-"""Slots that :mod:`pipeline.fringe_order.strip_search` reads."""
+PHI, MOVE, FRACTION, VISIBLE, COST, CELL = _PHI, _MOVE, _FRACTION, _VISIBLE, _COST, _CELL
+"""Slots that other modules read; after :func:`candidate_costs` cell and rest of the place in the other image."""
 
 
 @inline

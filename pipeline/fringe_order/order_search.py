@@ -14,6 +14,7 @@ from pipeline.fringe_order import (
     phase_links,
     semi_global_aggregation,
     strip_search,
+    uniqueness,
 )
 from pipeline.fringe_order.coarse_to_fine import interpolate_orders
 from pipeline.geometry.ray_tables import RayTable
@@ -86,6 +87,15 @@ class OrderSearch:
             groups = order_margins.Groups(label, sizes, order_margins.CELL // stride)
             margins = self._fine.margins(reference, other, correction, limits.shifts, order, stride, groups)
             groups.reject(margins < limits.margin, valid, entirely=limits.entirely)
+
+    def reject_contradicted(
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, order: NDArray[np.int16]
+    ) -> None:
+        """Change orders (h, w) to NONE where the last search's contradict them in the other image.
+
+        See :mod:`.uniqueness`.
+        """
+        self._fine.reject_contradicted(reference, other, correction, other_view, order)
 
     def set_prior(self, reference: PhaseMap, order: NDArray[np.int16]) -> None:
         """Expect these orders (h, w) of the last search in the next one, where their cost was low."""
@@ -184,6 +194,25 @@ class _Lattice:
             group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST, least
         )
         return least
+
+    def reject_contradicted(
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, order: NDArray[np.int16]
+    ) -> None:
+        """As of :class:`OrderSearch`."""
+        view, table, s, theirs = self._view, self.table, self._view.settings, other_view.table
+        place, value, cost = np.empty(order.shape, np.int32), np.empty(order.shape, np.float32), self._weight
+        uniqueness.claims(
+            blocks(len(order), uniqueness.ROWS), self.order, table.top, table.down, table.left, table.step, self._rays,
+            reference.phase, reference.descriptors, other.descriptors, view.phase_to_column, view.linear,
+            self._limit_orders(correction, 1), np.float32(view.extent), view.labels, view.first_axis,
+            np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight), theirs.top, theirs.down, theirs.left,
+            theirs.step, theirs.shape, np.float32(other_view.slopes[0]), np.float32(other_view.slopes[1]), place,
+            value, cost,
+        )  # fmt: skip
+        uniqueness.reject_contradicted(
+            place.reshape(-1), value.reshape(-1), cost.reshape(-1), np.float32(s.consistency_threshold),
+            np.empty(theirs.shape[0] * theirs.shape[1], np.int32), order.reshape(-1),
+        )  # fmt: skip
 
     def decide(self, reference: PhaseMap) -> None:
         """Aggregate along the columns, and decide."""

@@ -39,8 +39,8 @@ from pipeline.rig.volume import Volume
 _LEAST_MARGIN = 0.3
 """Share of ``uniqueness_ratio`` that is asked of layouts where every surface's orders have small margins."""
 _DISTINCT = 0.5
-"""Weight of the projector's phase from which a surface with many ambiguous parts is rejected entirely: in such layouts
-only wrong orders have them."""
+"""Weight of the projector's phase from which a surface with many ambiguous parts is rejected entirely, since in such
+layouts only wrong orders have them; below it, orders must be unique in the right image."""
 
 
 class Reconstructor:
@@ -98,8 +98,9 @@ class Reconstructor:
         weights = weights_of(*self.settings.window(mosaic=mosaic is not None))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
         self.searches = OrderSearch(self.left), OrderSearch(self.right)
-        self._distinct = phase_weight(baselines(calibration), linear=self.left.linear)
-        self._least_margin = self.settings.uniqueness_ratio / 100 * max(_LEAST_MARGIN, self._distinct)
+        distinct = phase_weight(baselines(calibration), linear=self.left.linear)
+        self._repeats = distinct < _DISTINCT
+        self._least_margin = self.settings.uniqueness_ratio / 100 * max(_LEAST_MARGIN, distinct)
         self._kept = np.empty(self.left.table.shape, np.int16)
         self._order = np.empty(calibration.left.size[::-1], np.int16)
         self._stages: dict[int, CloudStage] = {}
@@ -152,6 +153,7 @@ class Reconstructor:
         for stride in strides:
             cloud = self.reconstruct(left, right, stride=stride, use_prior=use_prior)
         self.searches[0].least_costs(*self._maps, self.correction, stride=8)
+        self.searches[0].reject_contradicted(*self._maps, self.correction, self.right, self._kept)
         warm_up_conflicts()
         self.color(left)
         normals_of(cloud.xyz, cloud.sigma_mm)
@@ -176,8 +178,8 @@ class Reconstructor:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
         left_map, right_map, order = self.orders(left, right, watch, use_prior=use_prior)
-        blind = self._distinct < _DISTINCT
-        limits = Limits(self._least_margin, self.other_shifts, not blind or len(self.other_shifts) > 0)
+        entirely = not self._repeats or len(self.other_shifts) > 0
+        limits = Limits(self._least_margin, self.other_shifts, entirely)
         by_orders = partial(self.searches[0].reject_ambiguous, left_map, right_map, self.correction, limits)
         return self.stage(stride).cloud(left_map, right_map, order, self.correction, watch, reject_ambiguous=by_orders)
 
@@ -222,6 +224,8 @@ class Reconstructor:
         right_orders = right_search.search(right, left, self.correction, use_prior=use_prior)
         watch.lap("orders")
         cross_check(self.left, left, left_orders, self.right, right, right_orders, self.correction, self._kept)
+        if self._repeats:
+            left_search.reject_contradicted(left, right, self.correction, self.right, self._kept)
         propagate(self.left, left, self._kept, self._order)
         if use_prior:
             left_search.set_prior(left, self._kept)
