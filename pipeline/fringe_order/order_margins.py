@@ -30,6 +30,8 @@ LEAST_SHARE = 0.5
 """Share of a group's pixels that must have an order for it to compete."""
 LARGEST_COST = 0.3
 """Mean cost up to which another order explains a group; saturated surfaces cost as much with their own as with any."""
+EVEN = 0.002
+"""Difference of costs up to which two orders explain a pixel alike, where the fringes repeat."""
 AMBIGUOUS_SHARE = 0.35
 """Share of its pixels from which a large surface's ambiguous cells are rejected; its other cells decide fewer."""
 
@@ -40,11 +42,14 @@ class Limits(NamedTuple):
     Args:
         margin: the least one, 0 = no test; shifts: (n,) changes of the column correction that other orders may have.
         entirely: large surfaces with many ambiguous cells are rejected, not only these cells.
+        even: difference of costs up to which two orders explain a pixel alike; surfaces have no margin where the same
+            other order does so at more than half of their pixels. Negative: no such test.
     """
 
     margin: float
     shifts: NDArray[np.float64]
     entirely: bool
+    even: float = -1.0
 
 
 class Groups:
@@ -168,7 +173,7 @@ def costs_of_nodes(
 
 @serial
 def least_margins(
-    group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, largest_cost: Any, out: Any
+    group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, largest_cost: Any, even: Any, out: Any
 ) -> None:  # fmt: skip
     """Least margin of each group plus its standard error, (groups,) float32; infinite where no other order competes.
 
@@ -176,10 +181,12 @@ def least_margins(
         group: (n,) of the sampled pixels; own: their orders, int16; first, count: (n,) of their candidates.
         costs: (n, labels).
         least_share: of a group's pixels that must have an order for it to compete; largest_cost: its largest mean cost.
+        even: as of :class:`Limits`.
     """
     labels = costs.shape[1]
     total, squares = np.zeros((out.shape[0], 2 * labels)), np.zeros((out.shape[0], 2 * labels))
-    level, pixels = np.zeros((out.shape[0], 2 * labels)), np.zeros((out.shape[0], 2 * labels), np.int32)
+    level = np.zeros((out.shape[0], 2 * labels))
+    pixels, alike = np.zeros((out.shape[0], 2 * labels), np.int32), np.zeros((out.shape[0], 2 * labels), np.int32)
     for m in range(group.shape[0]):
         k, here = group[m], own[m] - first[m]
         if here < 0 or here >= count[m]:
@@ -191,12 +198,15 @@ def least_margins(
             squares[k, change] += more * more
             level[k, change] += costs[m, order]
             pixels[k, change] += 1
+            alike[k, change] += more <= even and even >= 0
     for k in range(out.shape[0]):
         out[k] = np.inf
         for change in range(2 * labels):
             n = pixels[k, change]
             if change == labels or n < 2 or n < least_share * pixels[k, labels]:
                 continue
+            if 2 * alike[k, change] > n:
+                out[k] = min(out[k], np.float32(0.0))
             if level[k, change] <= largest_cost * n:
                 mean = total[k, change] / n
                 error = np.sqrt(max(squares[k, change] / n - mean * mean, 0.0) / (n - 1))

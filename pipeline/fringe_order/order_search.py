@@ -85,7 +85,7 @@ class OrderSearch:
         """
         if limits.margin > 0:
             groups = order_margins.Groups(label, sizes, order_margins.CELL // stride)
-            margins = self._fine.margins(reference, other, correction, limits.shifts, order, stride, groups)
+            margins = self._fine.margins(reference, other, correction, limits, order, stride, groups)
             groups.reject(margins < limits.margin, valid, entirely=limits.entirely)
 
     def reject_contradicted(
@@ -158,8 +158,8 @@ class _Lattice:
         return single
 
     def margins(
-        self, reference: PhaseMap, other: PhaseMap, correction: F64, shifts: F64, order: NDArray[np.int16],
-        stride: int, groups: order_margins.Groups,
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, limits: order_margins.Limits,
+        order: NDArray[np.int16], stride: int, groups: order_margins.Groups,
     ) -> NDArray[np.float32]:  # fmt: skip
         """(groups,) least margins of the orders; only lattice pixels in rows and columns of the stride count."""
         view, table, s = self._view, self.table, self._view.settings
@@ -182,16 +182,24 @@ class _Lattice:
             return costs
 
         own, costs = order[i // stride, j // stride], costs_of(0.0)
-        if len(shifts):
+        if len(limits.shifts):
             k = own - first[nodes]
             chosen = np.flatnonzero((k >= 0) & (k < count[nodes])), k[(k >= 0) & (k < count[nodes])]
             costs_of_own = costs[chosen]
-            for shift in shifts:
+            for shift in limits.shifts:
                 np.minimum(costs, costs_of(shift), out=costs)
             costs[chosen] = costs_of_own
         least = np.empty(len(groups), np.float32)
         order_margins.least_margins(
-            group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST, least
+            group,
+            own,
+            first[nodes],
+            count[nodes],
+            costs,
+            order_margins.LEAST_SHARE,
+            order_margins.LARGEST_COST,
+            limits.even,
+            least,
         )
         return least
 

@@ -21,7 +21,7 @@ from pipeline.decode.raw_image import checked, mosaic_of
 from pipeline.filter.occlusion.kernel_warmup import warm_up_conflicts
 from pipeline.filter.point_filter import phase_weight
 from pipeline.fringe_order.left_right_check import cross_check
-from pipeline.fringe_order.order_margins import Limits
+from pipeline.fringe_order.order_margins import EVEN, Limits
 from pipeline.fringe_order.order_propagation import propagate
 from pipeline.fringe_order.order_search import OrderSearch
 from pipeline.geometry.ray_tables import DepthScale
@@ -179,7 +179,7 @@ class Reconstructor:
         watch = Stopwatch(self._clock)
         left_map, right_map, order = self.orders(left, right, watch, use_prior=use_prior)
         entirely = not self._repeats or len(self.other_shifts) > 0
-        limits = Limits(self._least_margin, self.other_shifts, entirely)
+        limits = Limits(self._least_margin, self.other_shifts, entirely, EVEN if self._repeats else -1.0)
         by_orders = partial(self.searches[0].reject_ambiguous, left_map, right_map, self.correction, limits)
         return self.stage(stride).cloud(left_map, right_map, order, self.correction, watch, reject_ambiguous=by_orders)
 

@@ -24,8 +24,8 @@ BLIND = RigLayout(projector_fraction=0.5).scaled(0.25)
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_the_least_margin_is_that_of_the_best_other_order(seed: int) -> None:
+@given(st.integers(0, 2**32 - 1), st.sampled_from([-1.0, 0.0, 0.1, 0.4]))
+def test_the_least_margin_is_that_of_the_best_other_order(seed: int, even: float) -> None:
     rng = np.random.default_rng(seed)
     n, labels, groups = 60, 7, 4
     group = rng.integers(0, groups, n).astype(np.int32)
@@ -33,7 +33,7 @@ def test_the_least_margin_is_that_of_the_best_other_order(seed: int) -> None:
     own = (first + rng.integers(0, count)).astype(np.int16)
     costs = rng.random((n, labels)).astype(np.float32)
     out = np.empty(groups, np.float32)
-    least_margins(group, own, first, count, costs, 0.5, 0.55, out)
+    least_margins(group, own, first, count, costs, 0.5, 0.55, even, out)
     for k in range(groups):
         margins = []
         for change in range(-labels, labels + 1):
@@ -42,6 +42,8 @@ def test_the_least_margin_is_that_of_the_best_other_order(seed: int) -> None:
                 continue
             other = np.array([costs[m, own[m] + change - first[m]] for m in having], float)
             here = other - [costs[m, own[m] - first[m]] for m in having]
+            if even >= 0 and np.mean(here <= even) > 0.5:
+                margins.append(0.0)
             if other.mean() <= 0.55:
                 margins.append(np.mean(here) + np.std(here) / np.sqrt(len(here) - 1))
         assert out[k] == pytest.approx(min(margins, default=np.inf), abs=1e-5)
