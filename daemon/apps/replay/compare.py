@@ -51,6 +51,13 @@ def _cells(before: PairStatistics, now: PairStatistics, golden: Golden) -> Itera
     ):
         old, new = (_grid(sequence, f"{name}_mm", grid, pixels.shape) for grid in grids)
         yield from _grid_deviation(sequence, name, old, new, dense, limit, "mm", limits)
+    if before.sigma_mm is not None:
+        old, new = (_grid(sequence, "sigma_mm", pair.sigma_mm, pixels.shape) for pair in (before, now))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = 100 * new / old
+        yield from _grid_deviation(
+            sequence, "sigma", np.full_like(share, 100.0), share, dense, limits.sigma_percent, "%", limits
+        )
     old, new = (100 * count / pixels for count in counts)
     every = np.ones_like(dense)
     yield from _grid_deviation(sequence, "filled", old, new, every, limits.count_percent, "%", limits)

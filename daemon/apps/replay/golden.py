@@ -38,17 +38,22 @@ class Tolerances:
     """Change of a cell's median depth."""
     spread_mm: float = 0.2
     """Change of the distance between a cell's quartiles of depth."""
+    sigma_percent: float = 10.0
+    """Change of a cell's median standard deviation, as a share of it."""
     count_percent: float = 10.0
     """Change of a cell's number of points, as a share of its pixels."""
     cells_percent: float = 0.5
-    """Share of the cells that may exceed the three limits above."""
+    """Share of the cells that may exceed the four limits above."""
     min_count: int = 50
     """Least number of points, expected and actual, of a cell with a compared depth."""
 
 
 @dataclass(frozen=True, slots=True)
 class PairStatistics:
-    """Figures of a cloud, row by row of the grid; None in cells without points."""
+    """Figures of a cloud, row by row of the grid; None in cells without points.
+
+    ``sigma_mm`` is None in files that were written before it was one of the figures: then it is not compared.
+    """
 
     sequence: int
     size: tuple[int, int]
@@ -57,6 +62,7 @@ class PairStatistics:
     median_mm: list[list[float | None]]
     spread_mm: list[list[float | None]]
     count: list[list[int]]
+    sigma_mm: list[list[float | None]] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,24 +86,31 @@ class Deviation:
     limit: str
 
 
-def statistics(sequence: int, depth_mm: NDArray[np.float32], cell: int = CELL) -> PairStatistics:
-    """Compute the figures of a depth map.
+def statistics(
+    sequence: int, depth_mm: NDArray[np.float32], sigma_mm: NDArray[np.float32], cell: int = CELL
+) -> PairStatistics:
+    """Compute the figures of a cloud.
 
     Args:
-        depth_mm: (H, W), NaN where invalid; cell: side of a square cell, pixels; cells at the border may be smaller.
+        depth_mm, sigma_mm: (H, W), NaN where invalid.
+        cell: side of a square cell, pixels; cells at the border may be smaller.
     """
     height, width = depth_mm.shape
     medians: list[list[float | None]] = []
     spreads: list[list[float | None]] = []
     counts: list[list[int]] = []
+    sigmas: list[list[float | None]] = []
     for top in range(0, height, cell):
         valid = [row[np.isfinite(row)] for row in _cells(depth_mm[top : top + cell], cell)]
         quartiles = [np.percentile(values, (25, 50, 75)) if values.size else None for values in valid]
         medians.append([None if q is None else round(float(q[1]), 4) for q in quartiles])
         spreads.append([None if q is None else round(float(q[2] - q[0]), 4) for q in quartiles])
         counts.append([int(values.size) for values in valid])
+        known = [row[np.isfinite(row)] for row in _cells(sigma_mm[top : top + cell], cell)]
+        sigmas.append([round(float(np.median(values)), 5) if values.size else None for values in known])
     points = int(np.isfinite(depth_mm).sum())
-    return PairStatistics(sequence, (width, height), points, round(points / depth_mm.size, 6), medians, spreads, counts)
+    coverage = round(points / depth_mm.size, 6)
+    return PairStatistics(sequence, (width, height), points, coverage, medians, spreads, counts, sigmas)
 
 
 def _cells(band: NDArray[np.float32], cell: int) -> list[NDArray[np.float32]]:
@@ -157,6 +170,7 @@ def _pair(item: Mapping[str, Any]) -> PairStatistics:
         item["median_mm"],
         item["spread_mm"],
         item["count"],
+        item.get("sigma_mm"),
     )
 
 

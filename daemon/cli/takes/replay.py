@@ -169,7 +169,7 @@ def _replay(
         progress = stack.enter_context(rendering(f"Replaying {replay.take.path.name}"))
         for result in replay.results(repeat=repeat, progress=lambda position: progress(position, size)):
             runs.extend(result.runs)
-            figures.append(statistics(result.pair.sequence, result.cloud.xyz[..., 2], cell))
+            figures.append(statistics(result.pair.sequence, result.cloud.xyz[..., 2], result.cloud.sigma_mm, cell))
             if target is not None:
                 target.write(kind, result, replay.parts or None)
             if show is not None:

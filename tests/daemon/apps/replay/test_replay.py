@@ -295,6 +295,28 @@ def test_a_depth_deviation_is_detected_with_an_equal_number_of_points(take: Path
     assert json.loads(golden.read_text())["tolerances"]["depth_mm"] == 0.3
 
 
+def test_a_standard_deviation_that_changed_is_detected_and_files_without_it_are_compared(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    golden = tmp_path / "golden.json"
+    replay(take, "--bless", golden)
+    content = json.loads(golden.read_text())
+    for row in content["pairs"][1]["sigma_mm"]:
+        row[:] = [None if sigma is None else 0.8 * sigma for sigma in row]
+    golden.write_text(json.dumps(content))
+    capsys.readouterr()
+    assert replay(take, "--expect", golden) == 1
+    assert "sigma of" in capsys.readouterr().out
+    content["tolerances"]["sigma_percent"] = 30
+    golden.write_text(json.dumps(content))
+    assert replay(take, "--expect", golden) == 0
+    for pair in content["pairs"]:
+        del pair["sigma_mm"]
+    del content["tolerances"]["sigma_percent"]
+    golden.write_text(json.dumps(content))
+    assert replay(take, "--expect", golden) == 0
+
+
 def test_a_missing_and_an_additional_pair_are_reported(
     take: Path, tmp_path: Path, images: list[small_take.Images], capsys: pytest.CaptureFixture[str]
 ) -> None:
