@@ -9,6 +9,9 @@ Two second differences along the rows and two along the columns: of the neighbou
 :data:`FAR` pixels of the end of a surface, of the points farther inside. Noise alone gives a variance of 6 sigma^2.
 Points whose depth differs by more than half a fringe order belong to another surface: a mixture of such phases does not
 lie between both.
+
+A window that straddles a step makes a slope of it that is several pixels wide. The depth bends at both ends of the
+slope and the errors are largest between them, so a bend counts for the points within :data:`SPREAD` pixels, too.
 """
 
 from __future__ import annotations
@@ -17,9 +20,12 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.common.jit import inline, serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import blocks, parallel
+
+F32 = NDArray[np.float32]
 
 ROWS = 32
 """Rows that are processed together."""
@@ -28,6 +34,11 @@ FAR = 3
 SHARE, NOISE = np.float32(0.5), np.float32(36.0)
 """Share of the squared difference that becomes variance, and how many variances of the point are taken as noise: six
 times those of the difference, so that noise alone raises the standard deviation by 7 % at most."""
+SPREAD = 2
+"""Distance along rows and columns up to which a bend raises the standard deviation, pixels."""
+CLEAR = np.float32(9.0)
+"""Variances of a point that a bend must add before it counts for points beside it: three standard deviations of noise
+have less, and would spread over nine points each."""
 _REACH = 2 * FAR
 _NAN, _ZERO, _TWO = np.float32(np.nan), np.float32(0.0), np.float32(2.0)
 
@@ -84,32 +95,31 @@ def _copy_depth(xyz: Any, out: Any) -> None:
 
 
 @serial
-def _bends_of_row(depth: Any, k: int, half_order: Any, sigma: Any, rows: Any) -> None:
-    """Raise ``sigma`` (W,) of row k of ``depth``, which has a border of unknown points; rows: (3, W), scratch."""
+def _bends_of_row(depth: Any, k: int, half_order: Any, sigma: Any, rows: Any, out: Any) -> None:
+    """Variance (W,) that the bends of row k of ``depth`` add, which has a border of unknown points.
+
+    Args:
+        sigma: (W,) of the row; rows: (2, W), scratch.
+    """
     end = _REACH + sigma.shape[0]
     row, z = depth[k], depth[k, _REACH:end]
-    most, noise, more = rows[0], rows[1], rows[2]
+    most, noise = rows[0], rows[1]
     for j in range(sigma.shape[0]):
-        most[j], noise[j], more[j] = half_order * z[j] * z[j], NOISE * sigma[j] * sigma[j], _ZERO
-    _add_bends(z, row[_REACH - 1 : end - 1], row[_REACH + 1 : end + 1], most, noise, more)
-    _add_bends(z, depth[k - 1, _REACH:end], depth[k + 1, _REACH:end], most, noise, more)
+        most[j], noise[j], out[j] = half_order * z[j] * z[j], NOISE * sigma[j] * sigma[j], _ZERO
+    _add_bends(z, row[_REACH - 1 : end - 1], row[_REACH + 1 : end + 1], most, noise, out)
+    _add_bends(z, depth[k - 1, _REACH:end], depth[k + 1, _REACH:end], most, noise, out)
     _add_ends(z, row[_REACH - FAR : end - FAR], row[_REACH + FAR : end + FAR], row[: end - _REACH],
-              row[2 * _REACH :], most, noise, more)  # fmt: skip
+              row[2 * _REACH :], most, noise, out)  # fmt: skip
     _add_ends(z, depth[k - FAR, _REACH:end], depth[k + FAR, _REACH:end], depth[k - _REACH, _REACH:end],
-              depth[k + _REACH, _REACH:end], most, noise, more)  # fmt: skip
+              depth[k + _REACH, _REACH:end], most, noise, out)  # fmt: skip
     for j in range(sigma.shape[0]):
-        sigma[j] = np.float32(sqrt(sigma[j] * sigma[j] + SHARE * more[j]))
+        out[j] *= SHARE
 
 
 @parallel
-def widen_at_bends(block: int, stride: int, per_order: Any, xyz: Any, sigma: Any) -> None:
-    """Raise the standard deviation of points at sharp bends, in a block of :data:`ROWS` rows of measured pixels.
-
-    Args:
-        stride: of the measured pixels; per_order: float32, change of 1 / z from one fringe order to the next, 1 / mm.
-        xyz: (H, W, 3), sigma: (H, W), float32, mm, NaN where unknown; the second is changed.
-    """
-    height, width = len(range(0, sigma.shape[0], stride)), len(range(0, sigma.shape[1], stride))
+def _bends(block: int, stride: int, per_order: Any, xyz: Any, sigma: Any, bends: Any) -> None:
+    """Variance that the bends of :data:`ROWS` rows of measured pixels add; arguments as of :func:`widen_at_bends`."""
+    height, width = bends.shape[0] - 2 * SPREAD, bends.shape[1] - 2 * SPREAD
     half_order = np.float32(0.5) * per_order
     top = block * ROWS
     bottom = min(top + ROWS, height)
@@ -122,14 +132,57 @@ def widen_at_bends(block: int, stride: int, per_order: Any, xyz: Any, sigma: Any
         else:
             for j in range(width):
                 row[j] = xyz[stride * a, stride * j, 2]
-    rows, sparse = np.empty((3, width), np.float32), np.empty(width, np.float32)
+    rows, sparse = np.empty((2, width), np.float32), np.empty(width, np.float32)
     for a in range(top, bottom):
-        k, row = a - top + _REACH, sigma[stride * a]
+        k, out = a - top + _REACH, bends[a + SPREAD, SPREAD : SPREAD + width]
         if stride == 1:
-            _bends_of_row(depth, k, half_order, row, rows)
+            _bends_of_row(depth, k, half_order, sigma[a], rows, out)
         else:
             for j in range(width):
-                sparse[j] = row[stride * j]
-            _bends_of_row(depth, k, half_order, sparse, rows)
+                sparse[j] = sigma[stride * a, stride * j]
+            _bends_of_row(depth, k, half_order, sparse, rows, out)
+
+
+@serial
+def _add_clear(most: Any, own: Any, sigma: Any) -> None:
+    """Add ``most`` (W,), where it is clear, else ``own`` (W,) to the variance of a row."""
+    for j in range(own.shape[0]):
+        square = sigma[j] * sigma[j]
+        sigma[j] = np.float32(sqrt(square + (most[j] if most[j] > CLEAR * square else own[j])))
+
+
+@parallel
+def _widen(block: int, stride: int, bends: Any, sigma: Any) -> None:
+    """Add the bends, or the largest clear one within :data:`SPREAD` pixels, to the variance of :data:`ROWS` rows."""
+    height, width = bends.shape[0] - 2 * SPREAD, bends.shape[1] - 2 * SPREAD
+    most = np.empty(width, np.float32)
+    for a in range(block * ROWS, min(block * ROWS + ROWS, height)):
+        most[:] = _ZERO
+        for step in range(2 * SPREAD + 1):
+            across, along = bends[a + step, SPREAD : SPREAD + width], bends[a + SPREAD, step : step + width]
             for j in range(width):
-                row[stride * j] = sparse[j]
+                here = across[j] if across[j] > along[j] else along[j]
+                most[j] = here if here > most[j] else most[j]
+        own = bends[a + SPREAD, SPREAD : SPREAD + width]
+        if stride == 1:
+            _add_clear(most, own, sigma[a])
+        else:
+            _add_clear(most, own, sigma[stride * a, ::stride])
+
+
+def bends_of(shape: tuple[int, int]) -> F32:
+    """Array for :func:`widen_at_bends`; ``shape`` of the measured pixels."""
+    return np.zeros((shape[0] + 2 * SPREAD, shape[1] + 2 * SPREAD), np.float32)
+
+
+def widen_at_bends(stride: int, per_order: np.float32, xyz: F32, sigma: F32, bends: F32) -> None:
+    """Raise the standard deviation of points at sharp bends.
+
+    Args:
+        stride: of the measured pixels; per_order: change of 1 / z from one fringe order to the next, 1 / mm.
+        xyz: (H, W, 3), sigma: (H, W), mm, NaN where unknown; the second is changed.
+        bends: of :func:`bends_of`, written but for its border.
+    """
+    height = len(bends) - 2 * SPREAD
+    _bends(blocks(height, ROWS), stride, per_order, xyz, sigma, bends)
+    _widen(blocks(height, ROWS), stride, bends, sigma)

@@ -14,8 +14,7 @@ from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.packed_phasor import PHASOR_SCALE
-from pipeline.filter.depth_bends import ROWS as BEND_ROWS
-from pipeline.filter.depth_bends import widen_at_bends
+from pipeline.filter.depth_bends import bends_of, widen_at_bends
 from pipeline.filter.mask_rejected import mask_rejected
 from pipeline.filter.point_filter import Gates, phase_weight
 from pipeline.filter.sigma_terms import ROWS as SIGMA_ROWS
@@ -69,7 +68,7 @@ class CloudStage:
             smallest=max(settings.cluster_min_area // stride**2, 1),
             phase_weight=phase_weight(baselines(calibration), linear=left.linear), stride=stride,
         )  # fmt: skip
-        self._agreement = Agreement.empty(shape)
+        self._agreement, self._bends = Agreement.empty(shape), bends_of(shape)
         self._slope = np.float32(self._slopes[0])
 
     def match(
@@ -157,9 +156,7 @@ class CloudStage:
         kept = np.empty(self._size, np.int16)
         # Only now: surfaces beyond the volume compete for the pixels of the right camera with false ones inside it.
         mask_rejected(len(kept), valid, part_order, self._stride, *self._depths, points.xyz, points.sigma_mm, kept)
-        widen_at_bends(
-            blocks(len(valid), BEND_ROWS), self._stride, self._gates.per_order, points.xyz, points.sigma_mm
-        )  # fmt: skip
+        widen_at_bends(self._stride, self._gates.per_order, points.xyz, points.sigma_mm, self._bends)
         cloud = Cloud(
             xyz=points.xyz,
             sigma_mm=points.sigma_mm,

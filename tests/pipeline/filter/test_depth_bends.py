@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.common.parallel_for import blocks
-from pipeline.filter.depth_bends import FAR, NOISE, ROWS, SHARE, widen_at_bends
+from pipeline.filter.depth_bends import CLEAR, FAR, NOISE, ROWS, SHARE, SPREAD, bends_of, widen_at_bends
 
 SHAPE, SIGMA = (3 * ROWS + 5, 90), 0.03
 PER_ORDER = np.float32(30.0 / 900.0**2)
@@ -24,7 +23,7 @@ def _cloud(depth: Any, sigma: float = SIGMA) -> tuple[Any, Any]:
 def _widened(depth: Any, stride: int = 1, sigma: float = SIGMA) -> Any:
     xyz, sigmas = _cloud(depth, sigma)
     before = xyz.copy()
-    widen_at_bends(blocks(-(-len(depth) // stride), ROWS), stride, PER_ORDER, xyz, sigmas)
+    widen_at_bends(stride, PER_ORDER, xyz, sigmas, bends_of(depth[::stride, ::stride].shape))
     np.testing.assert_array_equal(xyz, before)
     return sigmas
 
@@ -45,7 +44,14 @@ def _expected(depth: Any) -> Any:
         bends.append(np.where(both, 0.0, np.where(np.isfinite(inner[0]), inner[0], inner[1])))
         for bend in bends:
             more += np.maximum(np.nan_to_num(bend) ** 2 - float(NOISE) * SIGMA**2, 0.0)
-    return np.sqrt(SIGMA**2 + float(SHARE) * more)
+    most = more.copy()
+    for step in range(1, SPREAD + 1):
+        most[step:] = np.maximum(most[step:], more[:-step])
+        most[:-step] = np.maximum(most[:-step], more[step:])
+        most[:, step:] = np.maximum(most[:, step:], more[:, :-step])
+        most[:, :-step] = np.maximum(most[:, :-step], more[:, step:])
+    more, most = float(SHARE) * more, float(SHARE) * most
+    return np.sqrt(SIGMA**2 + np.where(most > float(CLEAR) * SIGMA**2, most, more))
 
 
 def _scene() -> Any:
@@ -66,27 +72,47 @@ def test_every_point_gets_the_variance_that_its_differences_define() -> None:
 
 def test_noise_and_curvature_leave_sigma_nearly_as_it_is() -> None:
     i, j = np.indices(SHAPE)
-    noise = SIGMA * np.random.default_rng(2).standard_normal(SHAPE)
+    white = np.random.default_rng(2).standard_normal((SHAPE[0] + 2, SHAPE[1] + 2))
+    # As the phases have it that are fitted from windows of 3 x 3 pixels.
+    rows = white[:-2] + 2 * white[1:-1] + white[2:]
+    noise = SIGMA / 6 * (rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:])
     ball = 900 - np.sqrt(50.0**2 - (0.4 * (j - 45)) ** 2 - (0.4 * (i - 50)) ** 2)
     for depth in (900 + 0.3 * j + noise, ball + noise):
         found = _widened(depth.astype(np.float32))
         assert (found >= np.float32(SIGMA)).all()
         assert np.sqrt(np.mean(found**2)) < 1.1 * SIGMA
     np.testing.assert_allclose(_widened(ball.astype(np.float32)), SIGMA, rtol=1e-3)
+    found = _widened((900 + SIGMA * white[1:-1, 1:-1]).astype(np.float32))
+    assert np.sqrt(np.mean(found**2)) < 1.4 * SIGMA
 
 
 @pytest.mark.parametrize("step", [1.5, 2.0, 5.0])
 def test_points_between_two_depths_get_a_sigma_of_their_error(step: float) -> None:
-    """A window of three rows, weights 1/4, 1/2, 1/4, over a step between rows."""
-    i = np.indices(SHAPE)[0]
-    truth = np.where(i < 50, 900.0, 900.0 + step)
-    padded = np.pad(truth, ((1, 1), (0, 0)), mode="edge")
-    depth = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4
-    found, error = _widened(depth.astype(np.float32)), np.abs(depth - truth)
-    mixed = error > 0
+    truth, depth = _smoothed_step(step, (1, 2, 1))
+    found, error = _widened(depth), np.abs(depth - truth)
+    mixed = error > 1e-3
     assert mixed.any()
-    assert (0.5 * error[mixed] < found[mixed]).all() and (found[mixed] < 1.5 * error[mixed] + SIGMA).all()
+    assert (0.5 * error[mixed] < found[mixed]).all() and (found[mixed] < 1.5 * error.max() + SIGMA).all()
+    i = np.indices(SHAPE)[0]
     np.testing.assert_allclose(found[(i < 44) | (i > 56)], SIGMA, rtol=1e-5)
+
+
+def test_points_on_the_slope_that_a_wide_window_makes_of_a_step_have_no_sigma_of_noise() -> None:
+    truth, depth = _smoothed_step(5.0, (1, 2, 3, 2, 1))
+    found, error = _widened(depth), np.abs(depth - truth)
+    mixed = error > 1e-3
+    assert np.sqrt(np.mean((error[mixed] / SIGMA) ** 2)) > 30
+    assert np.sqrt(np.mean((error[mixed] / found[mixed]) ** 2)) < 3.5
+    assert (found[mixed] < error.max()).all()
+
+
+def _smoothed_step(step: float, weights: tuple[int, ...]) -> tuple[Any, Any]:
+    """Depths with a step between two rows, and what a window of so many rows makes of it."""
+    reach = len(weights) // 2
+    truth = np.where(np.indices(SHAPE)[0] < 50, 900.0, 900.0 + step)
+    padded = np.pad(truth, ((reach, reach), (0, 0)), mode="edge")
+    mean = sum(w * padded[k : k + len(truth)] for k, w in enumerate(weights)) / sum(weights)
+    return truth, mean.astype(np.float32)
 
 
 def test_the_end_of_a_surface_that_drifts_off_is_noticed() -> None:

@@ -37,7 +37,7 @@ def test_half_size(name: str, least: float, most: float, ratio: float, edge: flo
     assert found.wrong <= most
     assert found.covered >= least
     # Clipped surfaces have errors that bend the depth everywhere, and their sigma is too large rather than too small.
-    assert (0.65 if name == "bright, over-exposed" else 0.8) <= found.error_to_sigma <= ratio
+    assert (0.6 if name == "bright, over-exposed" else 0.8) <= found.error_to_sigma <= ratio
     assert found.rings["edge"].error_to_sigma <= edge
 
 
@@ -46,24 +46,24 @@ def test_half_size(name: str, least: float, most: float, ratio: float, edge: flo
 @pytest.mark.parametrize(
     ("name", "least", "most", "ratio", "edge"),
     [
-        ("standard", 0.967, 0.0004, 1.3, 1.7),
+        ("standard", 0.967, 0.0004, 1.3, 1.6),
         ("rims", 0.972, 0.0001, 1.2, 1.0),
         ("bars", 0.91, 0.0010, 1.4, 1.3),
         ("slots", 0.885, 0.0010, 1.4, 1.4),
         ("bare white plane", 0.99, 0.0001, 1.3, 1.2),
-        ("steep sides", 0.957, 0.0003, 1.3, 1.2),
-        ("hand before a face", 0.975, 0.0002, 1.3, 1.5),
-        ("over-exposed 1.8 times", 0.958, 0.0003, 1.5, 2.0),
+        ("steep sides", 0.957, 0.0003, 1.3, 1.0),
+        ("hand before a face", 0.975, 0.0002, 1.3, 1.0),
+        ("over-exposed 1.8 times", 0.958, 0.0003, 1.3, 1.6),
         ("bright, over-exposed", 0.28, 0.0003, 1.7, 1.0),
-        ("projector in the middle", 0.952, 0.0004, 1.3, 1.7),
+        ("projector in the middle", 0.952, 0.0004, 1.3, 1.6),
         ("middle, modulated", 0.966, 0.0003, 1.3, 1.4),
-        ("Bayer, realistic", 0.949, 0.0010, 1.4, 1.8),
+        ("Bayer, realistic", 0.949, 0.0010, 1.3, 1.7),
         ("Bayer, unknown gamma and crosstalk", 0.95, 0.0008, 1.3, 1.0),
         ("the demo's scene", 0.971, 0.0001, 1.3, 1.0),
         ("plaster cast", 0.89, 0.0008, 1.3, 1.6),
         ("plaster cast, Bayer", 0.855, 0.0009, 1.3, 1.9),
         ("plaster cast, wide fringes", 0.96, 0.0002, 1.3, 1.5),
-        ("standard, wide fringes", 0.93, 0.0009, 1.3, 2.1),
+        ("standard, wide fringes", 0.93, 0.0009, 1.3, 1.7),
     ],
 )
 def test_full_size(name: str, least: float, most: float, ratio: float, edge: float):
@@ -71,5 +71,5 @@ def test_full_size(name: str, least: float, most: float, ratio: float, edge: flo
     assert found.false_surfaces == 0
     assert found.wrong <= most
     assert found.covered >= least
-    assert 0.8 <= found.error_to_sigma <= ratio
+    assert (0.75 if name == "bright, over-exposed" else 0.8) <= found.error_to_sigma <= ratio
     assert found.rings["edge"].error_to_sigma <= edge
