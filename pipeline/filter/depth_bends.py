@@ -35,7 +35,8 @@ SHARE, NOISE = np.float32(0.5), np.float32(36.0)
 """Share of the squared difference that becomes variance, and how many variances of the point are taken as noise: six
 times those of the difference, so that noise alone raises the standard deviation by 7 % at most."""
 SPREAD = 2
-"""Distance along rows and columns up to which a bend raises the standard deviation, pixels."""
+"""Distance along rows and columns up to which a bend raises the standard deviation, pixels (with a stride, one measured
+pixel at least)."""
 CLEAR = np.float32(9.0)
 """Variances of a point that a bend must add before it counts for points beside it: three standard deviations of noise
 have less, and would spread over nine points each."""
@@ -155,10 +156,10 @@ def _add_clear(most: Any, own: Any, sigma: Any) -> None:
 def _widen(block: int, stride: int, bends: Any, sigma: Any) -> None:
     """Add the bends, or the largest clear one within :data:`SPREAD` pixels, to the variance of :data:`ROWS` rows."""
     height, width = bends.shape[0] - 2 * SPREAD, bends.shape[1] - 2 * SPREAD
-    most = np.empty(width, np.float32)
+    most, reach = np.empty(width, np.float32), max(SPREAD // stride, 1)
     for a in range(block * ROWS, min(block * ROWS + ROWS, height)):
         most[:] = _ZERO
-        for step in range(2 * SPREAD + 1):
+        for step in range(SPREAD - reach, SPREAD + reach + 1):
             across, along = bends[a + step, SPREAD : SPREAD + width], bends[a + SPREAD, step : step + width]
             for j in range(width):
                 here = across[j] if across[j] > along[j] else along[j]

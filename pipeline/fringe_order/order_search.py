@@ -191,16 +191,9 @@ class _Lattice:
             costs[chosen] = costs_of_own
         least = np.empty(len(groups), np.float32)
         order_margins.least_margins(
-            group,
-            own,
-            first[nodes],
-            count[nodes],
-            costs,
-            order_margins.LEAST_SHARE,
-            order_margins.LARGEST_COST,
-            limits.even,
-            least,
-        )
+            group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST,
+            limits.even, least,
+        )  # fmt: skip
         return least
 
     def reject_contradicted(

@@ -41,7 +41,8 @@ def test_they_are_the_full_clouds_points_within_the_noise(axis, scene):
     away = np.linalg.norm(full.xyz[both] - half.xyz[both], axis=-1) / full.sigma_mm[both]
     assert np.median(away) < 0.1
     assert (away < 1).mean() > 0.99
-    assert np.median(np.abs(half.sigma_mm[both] / full.sigma_mm[both] - 1)) < 0.01
+    # Bends of the depth (see pipeline.filter.depth_bends) are those between points two pixels apart.
+    assert np.median(np.abs(half.sigma_mm[both] / full.sigma_mm[both] - 1)) < 0.02
 
 
 @AXES
