@@ -53,20 +53,19 @@ def _cells(before: PairStatistics, now: PairStatistics, golden: Golden) -> Itera
         yield from _grid_deviation(sequence, name, old, new, dense, limit, "mm", limits)
     if before.sigma_mm is not None:
         old, new = (_grid(sequence, "sigma_mm", pair.sigma_mm, pixels.shape) for pair in (before, now))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = 100 * new / old
-        yield from _grid_deviation(
-            sequence, "sigma", np.full_like(share, 100.0), share, dense, limits.sigma_percent, "%", limits
-        )
+        most = limits.sigma_percent / 100 * np.nan_to_num(old)
+        yield from _grid_deviation(sequence, "sigma", old, new, dense, most, "mm", limits)
     old, new = (100 * count / pixels for count in counts)
     every = np.ones_like(dense)
     yield from _grid_deviation(sequence, "filled", old, new, every, limits.count_percent, "%", limits)
 
 
 def _grid_deviation(
-    sequence: int, name: str, old: Any, new: Any, compared: Any, limit: float, unit: str, limits: Tolerances
+    sequence: int, name: str, old: Any, new: Any, compared: Any, limit: Any, unit: str, limits: Tolerances
 ) -> Iterator[Deviation]:
-    change = np.where(compared, np.abs(new - old), 0.0)
+    """Compare a grid; ``limit`` is a number or one for each cell. A value that only one of both has exceeds it."""
+    change = np.where(compared, np.nan_to_num(np.abs(new - old)), 0.0)
+    change[compared & (np.isnan(new) != np.isnan(old))] = np.inf
     exceeded = change > limit
     allowed = limits.cells_percent / 100 * max(1, int(np.count_nonzero(compared)))
     if np.count_nonzero(exceeded) <= allowed:
@@ -78,7 +77,7 @@ def _grid_deviation(
         quantity,
         f"{old[row, column]:.3f} {unit}",
         f"{new[row, column]:.3f} {unit}",
-        f"± {limit:g} {unit}, {allowed:.0f} cells",
+        f"± {np.broadcast_to(limit, change.shape)[row, column]:.3g} {unit}, {allowed:.0f} cells",
     )
 
 
