@@ -125,10 +125,11 @@ def match_tile(arrays: Any, n: int, model: Any, other: Any, variance: Any) -> No
         x, y, size = t[X + j], t[Y + j], t[SIZE + j]
         good = (abs(f) < _CONVERGED) & (size >= model.floor_sq) & (size > _COHERENCE_SQ * t[SQUARE + j])
         good &= abs(t[W + j] - t[T0 + j]) * abs(slope) < np.float32(3.0)
-        good &= (x >= _ONE) & (y >= _ONE)
-        good &= (x < np.float32(other_width - 2)) & (y < np.float32(other_height - 2))
         by = -f / slope
         w = t[W + j] + by
+        x, y = x + ex * by, y + ey * by  # far where the phase hardly changes
+        good &= (x >= _ONE) & (y >= _ONE)
+        good &= (x < np.float32(other_width - 2)) & (y < np.float32(other_height - 2))
         s = (w - model.base) / model.span
         good &= (s > model.least) & (s < model.most)
         a, b = t[FRACTION + j], t[ACROSS + j]
@@ -137,7 +138,7 @@ def match_tile(arrays: Any, n: int, model: Any, other: Any, variance: Any) -> No
         active = t[OK + j]
         t[OK + j] = active if good else _ZERO
         t[W + j] = w
-        t[X + j], t[Y + j] = x + ex * by, y + ey * by
+        t[X + j], t[Y + j] = x, y
         t[VARIANCE + j] = v
         t[SLOPE + j] = abs(slope)
     for j in range(TILE):

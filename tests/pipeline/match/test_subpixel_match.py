@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -48,3 +49,28 @@ def test_no_point_lies_between_rows_that_contradict_each_other(decoded: Any) -> 
     between = 0.3 + 0.5 / PIXEL_STEPS
     assert np.mean(usual > between) > 0.2
     assert opposed.size > 0.2 * usual.size and np.mean(opposed > between) < 0.01
+
+
+@pytest.mark.parametrize("periods", [12.0, 24.0, 32.0])
+def test_every_match_lies_in_the_right_image(periods: float) -> None:
+    """Also where the phase hardly changes, so that the last step of the search is many pixels long."""
+    layout = RigLayout().scaled(0.25)
+    width, height = layout.camera_size
+    made = Reconstructor(
+        layout.calibration_for(Optics()), layout.pattern(periods), layout.volume(),
+        settings=Settings(self_calibrate=False),
+    )  # fmt: skip
+    matched = 0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        images = [200 * (1 + seed) * rng.standard_normal((height, width, 3), np.float32) for _ in range(2)]
+        left, right = (
+            decoder.decode(np.clip(cv2.GaussianBlur(noise, (0, 0), 1 + seed) + 120, 0, 255).astype(np.uint8))
+            for decoder, noise in zip(made.decoders, images, strict=True)
+        )
+        match = made.match(left, right)
+        valid = match.valid != 0
+        assert (match.right_u[valid] < width * PIXEL_STEPS).all()
+        assert (match.right_v[valid] < height * PIXEL_STEPS).all()
+        matched += int(valid.sum())
+    assert matched > 10_000
