@@ -111,6 +111,8 @@ HARD = (
     Case("plaster cast, wide fringes", "cast", layout=WIDE, periods=32.0),
     Case("standard, wide fringes", "mixed", layout=WIDE, periods=32.0),
     Case("out of focus", "mixed", Optics(psf_px=1.3)),
+    Case("strong colours", "colors"),
+    Case("strong colours, Bayer", "colors", encoding="bayer_rggb8"),
 )
 """Scenes and rigs in which wrong points and false surfaces arise; :mod:`benchmarks.trust` measures them."""
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
 from pipeline.decode.chromatic_phase import ChromaticCorrection, chromatic_correction
+from pipeline.decode.kernels.color_gains import limits_of
 from pipeline.decode.kernels.color_texture import BANDS as COLOR_BANDS
 from pipeline.decode.kernels.color_texture import color_texture, rough_colors
 from pipeline.decode.kernels.decode_bayer import decode_bayer
@@ -107,11 +108,13 @@ class Decoder:
         self._rows = rows.astype(np.float32)
         self._solve = np.linalg.inv(rows).astype(np.float32)
         self._ideal = np.linalg.inv(design(ColorModel(), shifts)).astype(np.float32)
+        self._light, self._mix = light_of(shifts).astype(np.float32), color.mix.astype(np.float32)
         self._black = color.black.astype(np.float32)
         self._unmix = color.unmix.astype(np.float32)
         self._mosaic = mosaic
         self._axis = "x" if abs(slopes[0]) > abs(slopes[1]) else "y"
         self._period_px = 2 * np.pi / max(abs(slopes[0]), abs(slopes[1]))
+        self._colored_from = limits_of(self._period_px)
         self._nominal = np.array([f(slope) for slope in slopes for f in (np.cos, np.sin)], dtype=np.float32)
         self._settings = settings
         self._radius, sigma = settings.window(mosaic=mosaic is not None)
@@ -143,17 +146,18 @@ class Decoder:
         planes = self._scratch(height, width)
         mean, modulation = (np.empty((height, width), np.uint8) for _ in range(2))
         common = (
-            self._black, self._rows, self._solve, self._unmix, self._ideal, self._weights, self._radius, self._nominal,
+            self._black, self._solve, self._mix, self._light, self._unmix, self._ideal, self._weights, self._radius,
+            self._nominal,
             np.float32(self._settings.saturation), np.float32(noise.floor), np.float32(noise.gain),
             np.float32(self._settings.min_modulation), box.along, box.over, box.drops, np.float32(box.scale),
-            self._chromatic.table, self._chromatic.step,
+            self._colored_from, self._chromatic.table, self._chromatic.step,
             planes["phasor"], planes["descriptors"], mean, planes["variance"], planes["phase"],
             modulation, planes["valid"], planes["saturated"],
         )  # fmt: skip
         if self._mosaic is None:
             decode_rgb(BANDS, image.reshape(height, 3 * width), *common)
         else:
-            decode_bayer(BANDS, image, self._mosaic, *common)
+            decode_bayer(BANDS, image, self._mosaic, self._rows, *common)
         return PhaseMap(
             planes["phasor"], planes["descriptors"], mean, planes["variance"],
             float(planes["saturated"].sum()) / (height * width), planes["phase"],
@@ -207,6 +211,10 @@ class Decoder:
 
 def design(color: ColorModel, shifts: tuple[float, float, float]) -> NDArray[np.float64]:
     """Rows (a, p, q) of the three camera channels, (3, 3)."""
+    return np.asarray(color.mix @ light_of(shifts))
+
+
+def light_of(shifts: tuple[float, float, float]) -> NDArray[np.float64]:
+    """Rows (1, cos, -sin) of the three projector channels, (3, 3)."""
     delta = np.array(shifts)
-    light = np.stack([np.ones(3), np.cos(delta), -np.sin(delta)], axis=1)
-    return np.asarray(color.mix @ light)
+    return np.stack([np.ones(3), np.cos(delta), -np.sin(delta)], axis=1)

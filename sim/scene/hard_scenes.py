@@ -169,3 +169,18 @@ def cast() -> Scene:
             if k % 3 == 0:
                 shapes.append(sphere(width).placed((x, y, depth - 6), albedo=0.8, texture=plaster))
     return Scene("cast", tuple(shapes))
+
+
+def strong_colors() -> Scene:
+    """Surfaces whose channels reflect 2.5 to 8 times as much as each other, before a wall that is one of them."""
+    return Scene(
+        "colors",
+        (
+            board((0.85, 0.75, 0.12)),
+            sphere(45).placed((-110, -60, 10), albedo=(0.12, 0.25, 0.65)),
+            sphere(34).placed((0, -80, 0), albedo=(0.85, 0.4, 0.1), texture=_STAINS),
+            box(70, 60, 50).placed((100, -60, 20), turn=(0.1, 0.4, 0.0), albedo=(0.2, 0.46, 0.48), texture=_STAINS),
+            cylinder(28, 120).placed((-90, 80, 20), turn=(0.0, 0.0, 1.2), albedo=(0.16, 0.55, 0.15)),
+            relief(90, 110, 40).placed((60, 75, 35), albedo=(0.65, 0.16, 0.14)),
+        ),
+    )

@@ -145,5 +145,6 @@ _SCENES: dict[str, Callable[[], Scene]] = {
     "gloss": hard_scenes.gloss,
     "beyond": hard_scenes.beyond_volume,
     "cast": hard_scenes.cast,
+    "colors": hard_scenes.strong_colors,
 }
 NAMES = (*_SCENES, "mesh")

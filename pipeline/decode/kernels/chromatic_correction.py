@@ -69,3 +69,20 @@ def corrected_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out:
                     + rows[color, 1] * (f * t[2 + m, x] + g * o[2 + m, x])
                     + rows[color, 2] * (f * t[4 + m, x] + g * o[4 + m, x])
                 )
+
+
+@serial
+def correct_design(table: Any, step: int, y: int, design: Any) -> None:
+    """Correct the design (3, W or more) of the columns of row y."""
+    i = y // step
+    g = np.float32((y - i * step) / step)
+    f = np.float32(1.0) - g
+    t, o = table[i], table[i + 1]
+    for j in range(t.shape[1]):
+        a, p, q = design[0, j], design[1, j], design[2, j]
+        for m in range(2):
+            design[1 + m, j] = (
+                a * (f * t[m, j] + g * o[m, j])
+                + p * (f * t[2 + m, j] + g * o[2 + m, j])
+                + q * (f * t[4 + m, j] + g * o[4 + m, j])
+            )

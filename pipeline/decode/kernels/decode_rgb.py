@@ -14,6 +14,7 @@ from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import TILE
 from pipeline.decode.kernels.chromatic_correction import correct_means, correct_phasors, units_of_row
+from pipeline.decode.kernels.color_gains import balanced_row, gains_of_row
 from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
 from pipeline.decode.kernels.local_normalisation import balance_of_row, normalised_row
 from pipeline.decode.kernels.row_output import angles_of_row, counts_of_row, describe_row, row_stride
@@ -41,20 +42,21 @@ def quotients_of_row(w: Any, c: Any, s: Any, a: Any, v: Any, re: Any, im: Any, m
 
 @parallel
 def decode_rgb(
-    band: int, image: Any, black: Any, rows: Any, solve: Any, unmix: Any, ideal: Any, weights: Any, radius: int,
-    nominal: Any, saturation: float, floor: float, gain: float, min_modulation: float, along: int, over: int, drops:
-    Any, scale: float, chromatic: Any, table_step: int, phasor: Any, descriptors: Any, mean: Any, variance: Any, phase:
-    Any, modulation: Any, valid: Any, saturated: Any,
+    band: int, image: Any, black: Any, solve: Any, mix: Any, light: Any, unmix: Any, ideal: Any, weights: Any,
+    radius: int, nominal: Any, saturation: float, floor: float, gain: float, min_modulation: float, along: int,
+    over: int, drops: Any, scale: float, colored_from: Any, chromatic: Any, table_step: int, phasor: Any,
+    descriptors: Any, mean: Any, variance: Any, phase: Any, modulation: Any, valid: Any, saturated: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.decode.decoder.PhaseMap`.
 
     Args:
         image: (H, 3 W) uint8; black: (3,) counts.
-        rows: (3, 3) design of the channels; solve: its inverse; unmix: (3, 3) inverse crosstalk; ideal: (3, 3) inverse
-            of the design without crosstalk; all float32.
+        solve: (3, 3) inverse of the channels' design; mix: (3, 3) crosstalk; light: (3, 3) design of the projector's
+            channels; unmix: (3, 3) inverse crosstalk; ideal: (3, 3) inverse of the design without crosstalk; float32.
         weights: (3,) by distance; radius: of the window, pixels; nominal: (4,) expected steps of the phase.
         saturation: counts from which a sample is saturated; floor, gain: noise model; min_modulation: counts.
         along, over, drops, scale: of :class:`pipeline.decode.kernels.local_mean.BoxMean`.
+        colored_from: (2,), of :func:`pipeline.decode.kernels.color_gains.limits_of`.
         chromatic, table_step: table and step of :class:`pipeline.decode.chromatic_phase.ChromaticCorrection`.
         phasor: (H, W) int32, packed; descriptors: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`;
         variance, phase: (H, W) float32; mean, modulation: (H, W) uint8;
@@ -66,32 +68,33 @@ def decode_rgb(
     inf, zero = np.float32(np.inf), np.float32(0.0)
     wide = row_stride(3 * width + 6 * along)
     low, high = band * height // BANDS, (band + 1) * height // BANDS
-    slab = np.zeros((7 * ring + 14, row_stride(width)), np.float32)
+    slab = np.zeros((7 * ring + 17, row_stride(width)), np.float32)
     levels, w, c, s = slab[0:3], slab[3, :width], slab[4, :width], slab[5, :width]
     a, v, re, im = slab[6, :width], slab[7, :width], slab[8, :width], slab[9, :width]
     average, balance = slab[10, :width], slab[11:14]
-    unit, sums = slab[14 : 14 + 2 * ring], slab[14 + 2 * ring :]
+    gains, unit, sums = slab[14:17, :width], slab[17 : 17 + 2 * ring], slab[17 + 2 * ring :]
     boxes = np.zeros((2 + over, wide), np.uint16)
     once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
     shorts = np.zeros((5, 2 * wide), np.uint16)
     padded, middle = shorts[0, : 3 * (width + 2 * along - 2)], shorts[1, : 3 * (width + along - 1)]
     work, means = shorts[2:4], shorts[4, : 3 * width]
     tile, columns = np.zeros(SATURATED_SLOTS * TILE, np.float32), np.empty(width + 1, np.int32)
-    start = shared_row(low)
+    start, colored = shared_row(max(low - reach, 0)), 0
     middle_row, entered = start - 1, start - over
     for y in range(max(low - reach, 0), min(high + reach, height)):
         levels_of_row(image[y], np.float32(1.0), black, levels)
+        if middle_row < shared_row(y):
+            middle_row = shared_row(y)
+            while entered < middle_row + over - 1:
+                entered += 1
+                keep = 1 if entered > start else 0
+                leaving = mirrored(entered - keep * over, height)
+                advance(image[mirrored(entered, height)], image[leaving], keep, drops[0], drops[1], once,
+                        before[(entered - start) % over], twice)  # fmt: skip
+            means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
+            balance_of_row(means, scale, black, unmix, balance)
+            colored = gains_of_row(balance, colored_from, gains)
         if low <= y < high:
-            if middle_row < shared_row(y):
-                middle_row = shared_row(y)
-                while entered < middle_row + over - 1:
-                    entered += 1
-                    keep = 1 if entered > start else 0
-                    leaving = mirrored(entered - keep * over, height)
-                    advance(image[mirrored(entered, height)], image[leaving], keep, drops[0], drops[1], once,
-                            before[(entered - start) % over], twice)  # fmt: skip
-                means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
-                balance_of_row(means, scale, black, unmix, balance)
             normalised_row(levels, balance, unmix, ideal, w, c)
             if table_step > 0:
                 correct_phasors(chromatic, table_step, y, w, c)
@@ -99,6 +102,8 @@ def decode_rgb(
         k = y % ring
         ur, ui = unit[k, :width], unit[ring + k, :width]
         count = pointwise_row(levels, black, solve, saturation, floor, gain, ur, ui, w, c, s, a, v)
+        if colored > 0:
+            balanced_row(levels, gains, unmix, ideal, floor, gain, ur, ui, w, c, s, a, v)
         if low <= y < high:
             saturated[y] = count
         if table_step > 0:
@@ -141,12 +146,13 @@ def decode_rgb(
             quotients_of_row(w, c, s, a, v, re, im, average, variance[i])
             if saturated[i] > 0:
                 count = saturated_of_row(image[i], saturation, reach, width - reach, columns)
+                # The gains are those of the last row of the window, whose means differ little.
                 for j in columns[:count]:
                     average[j] = plain_mean(image[i], j, black, solve)
                 units = (unit[p], unit[ring + p], unit[q], unit[ring + q], unit[r], unit[ring + r])
                 for j in range(0, count, TILE):
-                    fit_saturated(image, i, columns[j : min(j + TILE, count)], radius, nominal, weights, rows,
-                                  black, saturation, floor, gain, units, tile, re, im, average,
+                    fit_saturated(image, i, columns[j : min(j + TILE, count)], radius, nominal, weights, mix,
+                                  light, gains, black, saturation, floor, gain, units, tile, re, im, average,
                                   variance[i])  # fmt: skip
             for j in range(reach):
                 for x in (j, width - 1 - j):

@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.common.jit import inline, serial
 from pipeline.common.tile_math import TILE
+from pipeline.decode.kernels.color_gains import design_of
 from pipeline.decode.kernels.normal_equations import IM, MEAN, RE, SLOTS, VARIANCE, accumulate, clear, solve
 from pipeline.decode.kernels.window_fit import AGREEING, step_of
 
@@ -18,7 +19,8 @@ _UNITS = SLOTS  # unit phasors of the pixel and its neighbours left, right, abov
 _STEP_X, _STEP_Y = _UNITS + 10, _UNITS + 12  # phasors of the phase's steps
 _TURN = _UNITS + 14
 _RAW = _UNITS + 16
-SATURATED_SLOTS = _UNITS + 17
+_DESIGN = _UNITS + 17  # (a, p, q) of the three channels
+SATURATED_SLOTS = _UNITS + 26
 
 
 @serial
@@ -78,11 +80,12 @@ def _steps(tile: Any, nominal: Any) -> None:
 
 @serial
 def _add_channel(
-    tile: Any, design: Any, channel: int, dark: float, saturation: float, weight: float, floor: float, gain: float
+    tile: Any, channel: int, dark: float, saturation: float, weight: float, floor: float, gain: float
 ) -> None:
-    """Add one sample of every pixel, design (3, 3); a saturated one has weight 0."""
-    a, p, q, zero = design[channel, 0], design[channel, 1], design[channel, 2], np.float32(0.0)
+    """Add one sample of every pixel; a saturated one has weight 0."""
+    zero, first = np.float32(0.0), (_DESIGN + 3 * channel) * TILE
     for j in range(TILE):
+        a, p, q = tile[first + j], tile[first + TILE + j], tile[first + 2 * TILE + j]
         raw, c, s = tile[_RAW * TILE + j], tile[_TURN * TILE + j], tile[(_TURN + 1) * TILE + j]
         level = raw - dark
         accumulate(tile, j, a, p * c + q * s, q * c - p * s, level, weight if raw < saturation else zero,
@@ -91,14 +94,16 @@ def _add_channel(
 
 @serial
 def fit_saturated(
-    image: Any, i: int, columns: Any, radius: int, nominal: Any, weights: Any, design: Any, black: Any,
-    saturation: float, floor: float, gain: float, units: Any, tile: Any, re: Any, im: Any, mean: Any, variance: Any,
+    image: Any, i: int, columns: Any, radius: int, nominal: Any, weights: Any, mix: Any, light: Any, gains: Any,
+    black: Any, saturation: float, floor: float, gain: float, units: Any, tile: Any, re: Any, im: Any, mean: Any,
+    variance: Any,
 ) -> None:  # fmt: skip
     """Fit up to TILE pixels of row ``i``; results into those elements of re, im, mean, variance (W,).
 
     Args:
         image: (H, 3 W) uint8; columns: (n,) of the pixels, ``radius`` or more (and at least one) from the border.
-        nominal: (4,) expected steps; weights: (3,) by distance; design: (3, 3) of the channels.
+        nominal: (4,) expected steps; weights: (3,) by distance.
+        mix, light, gains: of :func:`pipeline.decode.kernels.color_gains.design_of`.
         units: unit phasors' re, im of the rows above, at and below the pixels.
     """
     above_re, above_im, row_re, row_im, below_re, below_im = units
@@ -110,6 +115,10 @@ def fit_saturated(
         tile[(_UNITS + 4) * TILE + j], tile[(_UNITS + 5) * TILE + j] = row_re[x + 1], row_im[x + 1]
         tile[(_UNITS + 6) * TILE + j], tile[(_UNITS + 7) * TILE + j] = above_re[x], above_im[x]
         tile[(_UNITS + 8) * TILE + j], tile[(_UNITS + 9) * TILE + j] = below_re[x], below_im[x]
+        for k in range(3):
+            a, p, q = design_of(mix, light, gains, k, x)
+            o = (_DESIGN + 3 * k) * TILE + j
+            tile[o], tile[o + TILE], tile[o + 2 * TILE] = a, p, q
     _steps(tile, nominal)
     clear(tile)
     for a in range(-radius, radius + 1):
@@ -119,7 +128,7 @@ def fit_saturated(
             for k in range(3):
                 for j in range(n):
                     tile[_RAW * TILE + j] = np.float32(raw[3 * (columns[j] + b) + k])
-                _add_channel(tile, design, k, black[k], saturation, weights[abs(a)] * weights[abs(b)], floor, gain)
+                _add_channel(tile, k, black[k], saturation, weights[abs(a)] * weights[abs(b)], floor, gain)
     solve(tile)
     for j in range(n):
         x = columns[j]

@@ -28,6 +28,8 @@ CASES = {case.name: case for case in (*HARD, *CASES_OF_ACCURACY)}
         ("projector in the middle", 0.92, 0.0009, 1.5, 1.7),
         ("Bayer, realistic", 0.9, 0.0025, 1.5, 1.8),
         pytest.param("plaster cast, wide fringes", 0.79, 0.0020, 1.3, 1.5, marks=pytest.mark.long),
+        ("strong colours", 0.91, 0.0006, 1.3, 1.0),
+        pytest.param("strong colours, Bayer", 0.89, 0.0006, 1.4, 1.3, marks=pytest.mark.long),
     ],
 )
 @pytest.mark.timeout(300)
@@ -57,6 +59,8 @@ def test_half_size(name: str, least: float, most: float, ratio: float, edge: flo
         ("bright, over-exposed", 0.28, 0.0003, 1.7, 1.0),
         ("projector in the middle", 0.952, 0.0004, 1.3, 1.6),
         ("middle, modulated", 0.966, 0.0003, 1.3, 1.4),
+        ("strong colours", 0.95, 0.0002, 1.2, 1.0),
+        ("strong colours, Bayer", 0.937, 0.0003, 1.2, 1.2),
         ("Bayer, realistic", 0.949, 0.0010, 1.3, 1.7),
         ("Bayer, unknown gamma and crosstalk", 0.95, 0.0008, 1.3, 1.0),
         ("the demo's scene", 0.971, 0.0001, 1.3, 1.0),

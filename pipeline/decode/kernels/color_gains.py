@@ -1,0 +1,160 @@
+"""Gains of the channels on strongly coloured surfaces, before the pointwise phase is computed.
+
+Unequal channels add to the phasor of the fringes, of size B / 2 times the sum of the channels' reflectances, a constant
+one of A times their vector sum. Of a mild colour the bias is the same in both cameras and cancels in the match, and
+gains would only add noise and the errors of the local means. Of a strong one (yellow, orange, blue) both are about as
+large: the phasor passes by 0 once a period, where its phase is noise, and turns unevenly or not at all. There every
+channel is divided by its local mean, as for the normalised phase.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.common.jit import serial
+
+MILD, STRONG = 0.45, 0.52
+"""Vector sum of the channels' means over half of their sum, up to which a colour is left as it is and from which its
+channels become equal."""
+WIDEST_PX = 30.0
+"""Period of the fringes from which no gains are used: an error of the local means, which mix the colours of a larger
+area, displaces points by millimetres there."""
+LARGEST_GAIN = 16.0
+LAG = 4
+"""Pixels to either side between which the change of the gains is taken."""
+CHANGE = 0.5
+"""Variance of the phase before the window over the squared relative change of the gains."""
+
+
+def limits_of(period_px: float) -> NDArray[np.float32]:
+    """For :func:`gains_of_row`: the square of the limit of mild colours, and one over its distance to the other's."""
+    if period_px > WIDEST_PX:
+        return np.array([1e9, 1.0], np.float32)
+    return np.array([MILD**2, 1 / (STRONG**2 - MILD**2)], np.float32)
+
+
+@serial
+def gains_of_row(balance: Any, limits: Any, out: Any) -> int:
+    """Gains of the unmixed channels, whose mean brightness they keep; exactly 1 on surfaces that are mildly coloured.
+
+    Args:
+        balance: (3, W or more), of :func:`pipeline.decode.kernels.local_normalisation.balance_of_row`.
+        limits: (2,), of :func:`limits_of`.
+        out: (3, W) float32, result.
+
+    Returns:
+        Number of pixels with gains other than 1.
+    """
+    zero, one, most = np.float32(0.0), np.float32(1.0), np.float32(LARGEST_GAIN)
+    third, four = np.float32(1 / 3), np.float32(4.0)
+    mild, slope = limits[0], limits[1]
+    n = out.shape[1]
+    by0, by1, by2 = balance[0, :n], balance[1, :n], balance[2, :n]
+    out0, out1, out2 = out[0], out[1], out[2]
+    colored = zero
+    for j in range(n):
+        b0, b1, b2 = by0[j], by1[j], by2[j]
+        x, y, z = one / b0, one / b1, one / b2
+        total = x + y + z
+        vector_sq = x * x + y * y + z * z - x * y - y * z - z * x
+        share = (four * vector_sq / (total * total) - mild) * slope
+        share = min(max(share, zero), one)
+        level = total * third
+        out0[j] = min(one + share * (level * b0 - one), most)
+        out1[j] = min(one + share * (level * b1 - one), most)
+        out2[j] = min(one + share * (level * b2 - one), most)
+        colored += one if share > zero else zero
+    return int(colored)
+
+
+@serial
+def balanced_row(
+    levels: Any, gains: Any, unmix: Any, ideal: Any, floor: float, gain: float, unit_re: Any, unit_im: Any,
+    usable: Any, re: Any, im: Any, mean: Any, tangential: Any,
+) -> None:  # fmt: skip
+    """Replace the results of :func:`pipeline.decode.kernels.three_step.pointwise_row` where there are gains.
+
+    Args:
+        levels: (3, W or more) float32 counts above black; gains: (3, W), of :func:`gains_of_row`.
+        unmix: (3, 3) inverse crosstalk; ideal: (3, 3), (A, C, S) without crosstalk; the rest as of that function.
+    """
+    zero, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
+    n = re.shape[0]
+    a0, a1, a2 = ideal[0, 0], ideal[0, 1], ideal[0, 2]
+    c0, c1, c2 = ideal[1, 0], ideal[1, 1], ideal[1, 2]
+    s0, s1, s2 = ideal[2, 0], ideal[2, 1], ideal[2, 2]
+    u00, u01, u02 = unmix[0, 0], unmix[0, 1], unmix[0, 2]
+    u10, u11, u12 = unmix[1, 0], unmix[1, 1], unmix[1, 2]
+    u20, u21, u22 = unmix[2, 0], unmix[2, 1], unmix[2, 2]
+    row_x, row_y, row_z = levels[0, :n], levels[1, :n], levels[2, :n]
+    gain0, gain1, gain2 = gains[0], gains[1], gains[2]
+    for j in range(n):
+        x, y, z = row_x[j], row_y[j], row_z[j]
+        g0, g1, g2 = gain0[j], gain1[j], gain2[j]
+        e0 = (u00 * x + u01 * y + u02 * z) * g0
+        e1 = (u10 * x + u11 * y + u12 * z) * g1
+        e2 = (u20 * x + u21 * y + u22 * z) * g2
+        c, s = c0 * e0 + c1 * e1 + c2 * e2, s0 * e0 + s1 * e1 + s2 * e2
+        inverse = one / np.float32(sqrt(c * c + s * s + tiny))
+        u, v = c * inverse, s * inverse
+        w0, w1, w2 = (s0 * u - c0 * v) * g0, (s1 * u - c1 * v) * g1, (s2 * u - c2 * v) * g2
+        t0, t1, t2 = w0 * u00 + w1 * u10 + w2 * u20, w0 * u01 + w1 * u11 + w2 * u21, w0 * u02 + w1 * u12 + w2 * u22
+        square0, square1, square2 = t0 * t0, t1 * t1, t2 * t2
+        photon_noise = square0 * max(x, zero) + square1 * max(y, zero) + square2 * max(z, zero)
+        fine = usable[j]
+        same = (g0 == one) & (g1 == one) & (g2 == one)
+        unit_re[j], unit_im[j] = (unit_re[j] if same else u), (unit_im[j] if same else v)
+        re[j], im[j] = (re[j] if same else fine * c), (im[j] if same else fine * s)
+        mean[j] = mean[j] if same else fine * max(a0 * e0 + a1 * e1 + a2 * e2, zero)
+        noise = fine * (floor * (square0 + square1 + square2) + gain * photon_noise)
+        tangential[j] = tangential[j] if same else noise
+    factor = np.float32(CHANGE)
+    for j in range(n - 2 * LAG):
+        m, k = j + LAG, j + 2 * LAG
+        d0 = (gain0[k] - gain0[j]) / gain0[m]
+        d1 = (gain1[k] - gain1[j]) / gain1[m]
+        d2 = (gain2[k] - gain2[j]) / gain2[m]
+        tangential[m] += factor * (d0 * d0 + d1 * d1 + d2 * d2) * (re[m] * re[m] + im[m] * im[m])
+
+
+@serial
+def balanced_units(levels: Any, gains: Any, unmix: Any, ideal: Any, re: Any, im: Any, mean: Any) -> None:
+    """Unit phasors and mean (W,) of levels with gains; arguments as of :func:`balanced_row`."""
+    zero, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
+    n = re.shape[0]
+    for j in range(n):
+        x, y, z = levels[0, j], levels[1, j], levels[2, j]
+        e0 = (unmix[0, 0] * x + unmix[0, 1] * y + unmix[0, 2] * z) * gains[0, j]
+        e1 = (unmix[1, 0] * x + unmix[1, 1] * y + unmix[1, 2] * z) * gains[1, j]
+        e2 = (unmix[2, 0] * x + unmix[2, 1] * y + unmix[2, 2] * z) * gains[2, j]
+        c = ideal[1, 0] * e0 + ideal[1, 1] * e1 + ideal[1, 2] * e2
+        s = ideal[2, 0] * e0 + ideal[2, 1] * e1 + ideal[2, 2] * e2
+        inverse = one / np.float32(sqrt(c * c + s * s + tiny))
+        re[j], im[j] = c * inverse, s * inverse
+        mean[j] = max(ideal[0, 0] * e0 + ideal[0, 1] * e1 + ideal[0, 2] * e2, zero)
+
+
+@serial
+def design_of(mix: Any, light: Any, gains: Any, channel: int, j: int) -> tuple[Any, Any, Any]:
+    """Design (a, p, q) of a camera channel at pixel j with gains (3, W): the surface reflects one over them.
+
+    Args:
+        mix: (3, 3) crosstalk; light: (3, 3) of the projector's channels, (1, cos, -sin) of their shifts.
+    """
+    m0, m1, m2 = mix[channel, 0] / gains[0, j], mix[channel, 1] / gains[1, j], mix[channel, 2] / gains[2, j]
+    return (
+        m0 * light[0, 0] + m1 * light[1, 0] + m2 * light[2, 0],
+        m0 * light[0, 1] + m1 * light[1, 1] + m2 * light[2, 1],
+        m0 * light[0, 2] + m1 * light[1, 2] + m2 * light[2, 2],
+    )
+
+
+@serial
+def design_of_row(even: int, odd: int, mix: Any, light: Any, gains: Any, out: Any) -> None:
+    """Design of every column of a row of a mosaic, out (3, W or more); even, odd: channels of its columns."""
+    for j in range(gains.shape[1]):
+        out[0, j], out[1, j], out[2, j] = design_of(mix, light, gains, odd if j & 1 else even, j)
