@@ -24,6 +24,8 @@ WIDEST_PX = 30.0
 """Period of the fringes from which no gains are used: an error of the local means, which mix the colours of a larger
 area, displaces points by millimetres there."""
 LARGEST_GAIN = 16.0
+BLOCK = 64
+"""Pixels of a row that have gains or none together."""
 LAG = 4
 """Pixels to either side between which the change of the gains is taken."""
 CHANGE = 0.5
@@ -38,37 +40,73 @@ def limits_of(period_px: float) -> NDArray[np.float32]:
 
 
 @serial
-def gains_of_row(balance: Any, limits: Any, out: Any) -> int:
-    """Gains of the unmixed channels, whose mean brightness they keep; exactly 1 on surfaces that are mildly coloured.
+def _flag_colored(balance: Any, limits: Any, flags: Any) -> None:
+    """1 at pixels (W,) whose channels differ by more than those of a mild colour, else 0."""
+    four, mild = np.float32(4.0), limits[0]
+    n = flags.shape[0]
+    by0, by1, by2 = balance[0, :n], balance[1, :n], balance[2, :n]
+    for j in range(n):
+        # Proportional to the means, without a division.
+        x, y, z = by1[j] * by2[j], by0[j] * by2[j], by0[j] * by1[j]
+        total = x + y + z
+        flags[j] = four * (x * x + y * y + z * z - x * y - y * z - z * x) > mild * total * total
 
-    Args:
-        balance: (3, W or more), of :func:`pipeline.decode.kernels.local_normalisation.balance_of_row`.
-        limits: (2,), of :func:`limits_of`.
-        out: (3, W) float32, result.
 
-    Returns:
-        Number of pixels with gains other than 1.
-    """
+@serial
+def _gains(balance: Any, limits: Any, out: Any) -> None:
     zero, one, most = np.float32(0.0), np.float32(1.0), np.float32(LARGEST_GAIN)
     third, four = np.float32(1 / 3), np.float32(4.0)
     mild, slope = limits[0], limits[1]
-    n = out.shape[1]
-    by0, by1, by2 = balance[0, :n], balance[1, :n], balance[2, :n]
+    by0, by1, by2 = balance[0], balance[1], balance[2]
     out0, out1, out2 = out[0], out[1], out[2]
-    colored = zero
-    for j in range(n):
-        b0, b1, b2 = by0[j], by1[j], by2[j]
-        x, y, z = one / b0, one / b1, one / b2
+    for j in range(out.shape[1]):
+        x, y, z = by1[j] * by2[j], by0[j] * by2[j], by0[j] * by1[j]
         total = x + y + z
         vector_sq = x * x + y * y + z * z - x * y - y * z - z * x
         share = (four * vector_sq / (total * total) - mild) * slope
         share = min(max(share, zero), one)
         level = total * third
-        out0[j] = min(one + share * (level * b0 - one), most)
-        out1[j] = min(one + share * (level * b1 - one), most)
-        out2[j] = min(one + share * (level * b2 - one), most)
-        colored += one if share > zero else zero
-    return int(colored)
+        out0[j] = min(one + share * (level / x - one), most)
+        out1[j] = min(one + share * (level / y - one), most)
+        out2[j] = min(one + share * (level / z - one), most)
+
+
+@serial
+def gains_of_row(balance: Any, limits: Any, flags: Any, runs: Any, n_runs: int, out: Any) -> int:
+    """Gains of the unmixed channels, whose mean brightness they keep; exactly 1 on surfaces that are mildly coloured.
+
+    Args:
+        balance: (3, W or more), of :func:`pipeline.decode.kernels.local_normalisation.balance_of_row`.
+        limits: (2,), of :func:`limits_of`.
+        flags: (16 + a multiple of BLOCK from W on,) uint8, scratch, 0 but for what this function left there.
+        runs: (n, 2) int32, first pixel and end of the parts of the row with gains, and their surroundings; those of the
+            last row, ``n_runs``, are replaced.
+        out: (3, W) float32, result; before the first row 1.
+
+    Returns:
+        Number of runs.
+    """
+    width, one = out.shape[1], np.float32(1.0)
+    for r in range(n_runs):
+        for k in range(3):
+            for j in range(runs[r, 0], runs[r, 1]):
+                out[k, j] = one
+    _flag_colored(balance, limits, flags[8 : 8 + width])
+    eights = flags.view(np.uint64)
+    n, opened = 0, False
+    for first in range(0, width, BLOCK):
+        found = np.uint64(0)
+        for word in range(first // 8, first // 8 + BLOCK // 8 + 2):  # with eight pixels before and after the block
+            found |= eights[word]
+        if found != 0:
+            n += 0 if opened else 1
+            runs[n - 1, 0] = runs[n - 1, 0] if opened else first
+            runs[n - 1, 1] = min(first + BLOCK, width)
+        opened = found != 0
+    for r in range(n):
+        start, end = runs[r, 0], runs[r, 1]
+        _gains(balance[:, start:end], limits, out[:, start:end])
+    return n
 
 
 @serial
@@ -112,13 +150,21 @@ def balanced_row(
         mean[j] = mean[j] if same else fine * max(a0 * e0 + a1 * e1 + a2 * e2, zero)
         noise = fine * (floor * (square0 + square1 + square2) + gain * photon_noise)
         tangential[j] = tangential[j] if same else noise
+
+
+@serial
+def widen_at_changes(gains: Any, start: int, end: int, re: Any, im: Any, tangential: Any) -> None:
+    """Add to the variances of a run of pixels of a row (W,) what a change of the gains (3, W) around them adds."""
+    low, high = max(start, LAG), min(end, re.shape[0] - LAG)
+    if high <= low:
+        return
     factor = np.float32(CHANGE)
-    for j in range(n - 2 * LAG):
-        m, k = j + LAG, j + 2 * LAG
-        d0 = (gain0[k] - gain0[j]) / gain0[m]
-        d1 = (gain1[k] - gain1[j]) / gain1[m]
-        d2 = (gain2[k] - gain2[j]) / gain2[m]
-        tangential[m] += factor * (d0 * d0 + d1 * d1 + d2 * d2) * (re[m] * re[m] + im[m] * im[m])
+    c, s, variance = re[low:high], im[low:high], tangential[low:high]
+    for k in range(3):
+        here, behind, ahead = gains[k, low:high], gains[k, low - LAG : high - LAG], gains[k, low + LAG : high + LAG]
+        for j in range(variance.shape[0]):
+            change = (ahead[j] - behind[j]) / here[j]
+            variance[j] += factor * change * change * (c[j] * c[j] + s[j] * s[j])
 
 
 @serial
@@ -154,7 +200,7 @@ def design_of(mix: Any, light: Any, gains: Any, channel: int, j: int) -> tuple[A
 
 
 @serial
-def design_of_row(even: int, odd: int, mix: Any, light: Any, gains: Any, out: Any) -> None:
-    """Design of every column of a row of a mosaic, out (3, W or more); even, odd: channels of its columns."""
-    for j in range(gains.shape[1]):
+def design_of_row(even: int, odd: int, mix: Any, light: Any, gains: Any, start: int, end: int, out: Any) -> None:
+    """Design of some columns of a row of a mosaic, out (3, W or more); even, odd: channels of its columns."""
+    for j in range(start, end):
         out[0, j], out[1, j], out[2, j] = design_of(mix, light, gains, odd if j & 1 else even, j)

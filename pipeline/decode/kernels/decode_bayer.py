@@ -16,7 +16,7 @@ from pipeline.decode.kernels.chromatic_correction import (
     corrected_design,
     units_of_row,
 )
-from pipeline.decode.kernels.color_gains import balanced_units, design_of_row, gains_of_row
+from pipeline.decode.kernels.color_gains import BLOCK, balanced_units, design_of_row, gains_of_row
 from pipeline.decode.kernels.decode_rgb import BANDS
 from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
 from pipeline.decode.kernels.local_normalisation import balance_of_row, normalised_row
@@ -121,7 +121,10 @@ def decode_bayer(
     cached_rows = np.full(cache.shape[0], -1)
     tile = np.zeros(MOSAIC_SLOTS * TILE, np.float32)
     _design_rows(mosaic, rows, design)
-    start, colored = shared_row(max(low - radius, 0)), 0
+    gains[:] = np.float32(1.0)
+    blocks = (width + BLOCK - 1) // BLOCK
+    flags, runs, n_runs = np.zeros(BLOCK * blocks + 16, np.uint8), np.zeros((blocks, 2), np.int32), 0
+    start = shared_row(max(low - radius, 0))
     middle_row, entered = start - 1, start - over
     for y in range(max(low - radius, 0), min(high + radius, height)):
         guess = _first_guess(image, y, mosaic, halo, cache, cached_rows)
@@ -137,21 +140,27 @@ def decode_bayer(
                         drops[1], once, before[(entered - start) % over], twice)  # fmt: skip
             means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
             balance_of_row(means, scale, black, unmix, balance)
-            colored = gains_of_row(balance, colored_from, gains)
+            n_runs = gains_of_row(balance, colored_from, flags, runs, n_runs, gains)
         if low <= y < high:
             normalised_row(levels, balance, unmix, ideal, re, im)
             if table_step > 0:
                 correct_phasors(chromatic, table_step, y, re, im)
             normalised_phase_row(re, im, descriptors[y])
         k = y % ring
-        own_design[k] = colored > 0
-        if colored > 0:
-            balanced_units(levels, gains, unmix, ideal, units[k, :width], units[ring + k, :width], plain[k, :width])
-            design_of_row(mosaic[y & 1, 0], mosaic[y & 1, 1], mix, light, gains, designs[3 * k : 3 * k + 3])
+        rough_units(levels, solution, units[k, :width], units[ring + k, :width], plain[k, :width])
+        own_design[k] = n_runs > 0
+        if n_runs > 0:
+            even, odd, own = mosaic[y & 1, 0], mosaic[y & 1, 1], designs[3 * k : 3 * k + 3]
+            for column in range(own.shape[1]):
+                for part in range(3):
+                    own[part, column] = rows[odd if column & 1 else even, part]
+            for run in range(n_runs):
+                e, f = runs[run, 0], runs[run, 1]
+                balanced_units(levels[:, e:f], gains[:, e:f], unmix, ideal, units[k, e:f], units[ring + k, e:f],
+                               plain[k, e:f])  # fmt: skip
+                design_of_row(even, odd, mix, light, gains, e, f, own)
             if table_step > 0:
-                correct_design(chromatic, table_step, y, designs[3 * k : 3 * k + 3])
-        else:
-            rough_units(levels, solution, units[k, :width], units[ring + k, :width], plain[k, :width])
+                correct_design(chromatic, table_step, y, own)
         if table_step > 0:
             correct_phasors(chromatic, table_step, y, units[k, :width], units[ring + k, :width])
             units_of_row(units[k, :width], units[ring + k, :width])

@@ -14,7 +14,7 @@ from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import TILE
 from pipeline.decode.kernels.chromatic_correction import correct_means, correct_phasors, units_of_row
-from pipeline.decode.kernels.color_gains import balanced_row, gains_of_row
+from pipeline.decode.kernels.color_gains import BLOCK, balanced_row, gains_of_row, widen_at_changes
 from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
 from pipeline.decode.kernels.local_normalisation import balance_of_row, normalised_row
 from pipeline.decode.kernels.row_output import angles_of_row, counts_of_row, describe_row, row_stride
@@ -79,7 +79,10 @@ def decode_rgb(
     padded, middle = shorts[0, : 3 * (width + 2 * along - 2)], shorts[1, : 3 * (width + along - 1)]
     work, means = shorts[2:4], shorts[4, : 3 * width]
     tile, columns = np.zeros(SATURATED_SLOTS * TILE, np.float32), np.empty(width + 1, np.int32)
-    start, colored = shared_row(max(low - reach, 0)), 0
+    gains[:] = np.float32(1.0)
+    blocks = (width + BLOCK - 1) // BLOCK
+    flags, runs, n_runs = np.zeros(BLOCK * blocks + 16, np.uint8), np.zeros((blocks, 2), np.int32), 0
+    start = shared_row(max(low - reach, 0))
     middle_row, entered = start - 1, start - over
     for y in range(max(low - reach, 0), min(high + reach, height)):
         levels_of_row(image[y], np.float32(1.0), black, levels)
@@ -93,7 +96,7 @@ def decode_rgb(
                         before[(entered - start) % over], twice)  # fmt: skip
             means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
             balance_of_row(means, scale, black, unmix, balance)
-            colored = gains_of_row(balance, colored_from, gains)
+            n_runs = gains_of_row(balance, colored_from, flags, runs, n_runs, gains)
         if low <= y < high:
             normalised_row(levels, balance, unmix, ideal, w, c)
             if table_step > 0:
@@ -102,8 +105,11 @@ def decode_rgb(
         k = y % ring
         ur, ui = unit[k, :width], unit[ring + k, :width]
         count = pointwise_row(levels, black, solve, saturation, floor, gain, ur, ui, w, c, s, a, v)
-        if colored > 0:
-            balanced_row(levels, gains, unmix, ideal, floor, gain, ur, ui, w, c, s, a, v)
+        for run in range(n_runs):
+            e, f = runs[run, 0], runs[run, 1]
+            balanced_row(levels[:, e:f], gains[:, e:f], unmix, ideal, floor, gain, ur[e:f], ui[e:f], w[e:f], c[e:f],
+                         s[e:f], a[e:f], v[e:f])  # fmt: skip
+            widen_at_changes(gains, e, f, c, s, v)
         if low <= y < high:
             saturated[y] = count
         if table_step > 0:
