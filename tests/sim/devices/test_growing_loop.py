@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -34,7 +35,7 @@ def names(options: SimOptions) -> list[str]:
     return [path.name[:5] for path in options.cache_dir.iterdir()]
 
 
-@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8", "mono16"])
+@pytest.mark.parametrize("encoding", ["rgb8", pytest.param("bayer_rggb8", marks=pytest.mark.long), "mono16"])
 def test_every_trigger_shows_an_image_of_the_rendered_loop(options: SimOptions, encoding: str) -> None:
     options = replace(options, encoding=encoding)
     expected = loops.render_loop(options)
@@ -76,20 +77,35 @@ def test_the_process_renders_what_the_options_name(options: SimOptions, tmp_path
         assert loops.folder_of(from_mapping(plain_values(other))) == loops.folder_of(other)
 
 
-def unfinished(options: SimOptions) -> Path:
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A loop of 1000 images that was ended after three or more of them."""
+    cache = tmp_path_factory.mktemp("ended")
+    options = SimOptions(frames=1000, layout=RigLayout().scaled(0.0625), cache_dir=cache, background=True)
     growing = GrowingLoop(options)
     wait_until(lambda: growing.ready >= 3)
     growing.close()
-    assert options.cache_dir is not None
-    (folder,) = options.cache_dir.iterdir()
+    (folder,) = cache.iterdir()
     assert folder.name == f"{loops.folder_of(options).name}-unfinished"
     return folder
 
 
-def test_an_unfinished_loop_goes_on_where_it_ended(options: SimOptions) -> None:
+@pytest.fixture(scope="module")
+def expected_pairs() -> list[tuple[loops.Image, loops.Image]]:
+    """The first images of that loop, rendered one after the other."""
+    options = SimOptions(frames=1000, layout=RigLayout().scaled(0.0625), background=True)
+    return list(itertools.islice(loops.rendered_pairs(options), 4))
+
+
+def unfinished(options: SimOptions, ended: Path) -> Path:
+    """A copy of the ended loop, where one with these options finds it."""
+    assert options.cache_dir is not None
+    return shutil.copytree(ended, options.cache_dir / ended.name)
+
+
+def test_an_unfinished_loop_goes_on_where_it_ended(options: SimOptions, ended: Path) -> None:
     options = replace(options, frames=1000)
-    folder = unfinished(options)
+    folder = unfinished(options, ended)
     kept = int.from_bytes((folder / "ready").read_bytes(), sys.byteorder)
     growing = GrowingLoop(options)
     try:
@@ -105,9 +121,11 @@ def test_an_unfinished_loop_goes_on_where_it_ended(options: SimOptions) -> None:
 
 
 @pytest.mark.parametrize("damage", ["image", "first image", "short", "sums", "number", "other shape"])
-def test_damaged_images_of_an_unfinished_loop_are_rendered_again(options: SimOptions, damage: str) -> None:
+def test_damaged_images_of_an_unfinished_loop_are_rendered_again(
+    options: SimOptions, damage: str, ended: Path, expected_pairs: list[tuple[loops.Image, loops.Image]]
+) -> None:
     options = replace(options, frames=1000)
-    folder = unfinished(options)
+    folder = unfinished(options, ended)
     left = folder / "left.npy"
     if "image" in damage:
         images = np.lib.format.open_memmap(left, "r+")
@@ -124,7 +142,7 @@ def test_damaged_images_of_an_unfinished_loop_are_rendered_again(options: SimOpt
     growing = GrowingLoop(options)
     try:
         wait_until(lambda: growing.ready >= 4)
-        for index, (one, other) in zip(range(4), loops.rendered_pairs(options), strict=False):
+        for index, (one, other) in enumerate(expected_pairs):
             found = growing.pair(index)
             assert np.array_equal(found[0], one) and np.array_equal(found[1], other)
     finally:
