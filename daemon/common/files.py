@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import errno
 import os
 import re
 import tempfile
@@ -12,6 +14,7 @@ from pathlib import Path
 from daemon.common.errors import InputError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+_AT_FDCWD, _RENAME_NOREPLACE = -100, 1
 
 
 def source_files(folder: Path) -> Iterator[Path]:
@@ -52,6 +55,40 @@ def write_atomically(path: Path, data: bytes) -> None:
             Path(name).unlink()
         raise
     sync_directory(path.parent)
+
+
+def rename_without_replacing(path: Path, target: Path) -> None:
+    """Rename a file atomically within its file system if nothing has the new name; directories are not synchronised.
+
+    File systems that cannot rename so (NFS) get a hard link first; those without hard links, too, are not atomic.
+
+    Raises:
+        FileExistsError: something has the name; both are untouched. OSError: the directory cannot be written.
+    """
+    number = _renameat2(path, target)
+    if number == 0:
+        return
+    if number not in (errno.EINVAL, errno.ENOSYS):
+        raise OSError(number, os.strerror(number), str(path), None, str(target))
+    try:
+        os.link(path, target)
+    except OSError as error:
+        if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.ENOSYS):
+            raise
+        if target.exists():
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path), None, str(target)) from None
+        path.rename(target)
+    else:
+        path.unlink()
+
+
+def _renameat2(path: Path, target: Path) -> int:
+    """Rename if the new name is free; return 0 or the number of the error, ENOSYS without the function."""
+    function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if function is None:
+        return errno.ENOSYS
+    failed = function(_AT_FDCWD, os.fsencode(path), _AT_FDCWD, os.fsencode(target), _RENAME_NOREPLACE)
+    return ctypes.get_errno() if failed else 0
 
 
 def sync_directory(directory: Path) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 from mcap import records as mcap_records
 from mcap.data_stream import RecordBuilder
 
-from daemon.common.files import sync_directory
+from daemon.common.files import rename_without_replacing, sync_directory
 from daemon.recording.format.file_lock import lock
 from daemon.recording.format.mcap_records import MAGIC, RECORD_HEAD, Opcode
 from daemon.recording.format.mcap_summary import Contents
@@ -173,11 +173,12 @@ class PartWriter:
         self._append([self._contents.ending(self._end)])
         self._sync_all()
         self._close()
-        if self.path.exists():
+        try:
+            rename_without_replacing(self.partial, self.path)
+        except FileExistsError:
             raise FileExistsError(
                 errno.EEXIST, "appeared while the take was being written; it stays in", str(self.partial)
-            )
-        self.partial.rename(self.path)
+            ) from None
         sync_directory(self.path.parent)
 
     def abandon(self) -> None:

@@ -389,3 +389,16 @@ def test_a_file_that_appears_under_the_takes_name_meanwhile_is_kept_and_so_is_th
     assert path.read_bytes() == b"another file"
     (read,) = pairs_of(path.with_name("take.mcap.partial"))
     assert_is(read, 0)
+
+
+def test_a_file_that_appears_after_a_check_of_the_takes_name_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "take.mcap"
+    recorder = writer(path)
+    assert recorder.offer(pair(0))
+    path.write_bytes(b"another file")
+    monkeypatch.setattr(Path, "exists", lambda _: False)  # as a check before the file appeared
+    recorder.close()
+    assert "appeared while the take was being written" in recorder.status()["problem"]
+    assert path.read_bytes() == b"another file"
