@@ -77,22 +77,22 @@ $(OPEN3D)/.complete: constraints.txt | $(RIG)
 	@touch $@
 
 bench-calibration: $(RIG)  ## calibration from rendered images against the ground truth; a quarter of an hour
-	$(BIN)/python -m benchmarks.calibration
-	$(BIN)/python -m benchmarks.calibrated --scale 0.5
+	$(BIN)/python -m benchmarks.calibration.accuracy
+	$(BIN)/python -m benchmarks.calibration.calibrated --scale 0.5
 
 bench-modes: $(RIG)  ## multi-frame modes against the single shot and the ground truth, at rest and in motion; ten minutes
-	$(BIN)/python -m benchmarks.modes
+	$(BIN)/python -m benchmarks.accuracy.modes
 
 soak: $(RIG)  ## half an hour at 30 pairs a second: losses, memory, latencies; exit code 1 if a pair is lost
 	$(BIN)/python -m benchmarks.soak $(SOAK)
 
 box-soak: $(RIG)  ## 200,000 triggers through the real drivers on emulated hardware, with random faults; ten minutes
 	tools/system-packages x11 compiler
-	$(BIN)/python -m benchmarks.box_soak --triggers 200000 --verbose $(BOX)
+	$(BIN)/python -m benchmarks.system.box_soak --triggers 200000 --verbose $(BOX)
 
 box-latency: $(RIG)  ## latency from the trigger's edge to frame, pair, cloud and subscriber on emulated hardware
 	tools/system-packages x11 compiler
-	$(BIN)/python -m benchmarks.box_latency $(BOX)
+	$(BIN)/python -m benchmarks.system.box_latency $(BOX)
 
 load: $(RIG)  ## measurement with many subscribers against the same without; five minutes
 	$(BIN)/python -m benchmarks.load $(LOAD)
@@ -106,7 +106,7 @@ campaign: $(RIG)  ## five hundred random faults in a whole rig on emulated hardw
 
 bench-service: $(DEV)  ## recovery times of the service under a real systemd, in a container; needs root; two minutes
 	tools/system-packages systemd
-	$(BIN)/python -m benchmarks.service $(SERVICE)
+	$(BIN)/python -m benchmarks.system.service $(SERVICE)
 
 golden: $(RIG)  ## regenerate the golden take of tests/golden (only when its contents must change)
 	$(BIN)/python -m tests.golden.make

@@ -19,8 +19,9 @@ from typing import Any
 from rich.console import Console
 
 from benchmarks import trust
+from benchmarks.accuracy import coverage
 from benchmarks.common.tables import Table, as_json, with_block, write_whole
-from benchmarks.reconstruction import accuracy, compare, machine, roofline, scale, speed
+from benchmarks.reconstruction import compare, machine, roofline, scale, speed
 from benchmarks.reconstruction.cases import CASES, HARD
 from benchmarks.reconstruction.rendered import OUT
 
@@ -67,7 +68,7 @@ def cases(options: argparse.Namespace) -> SectionResult:
     """Accuracy by case."""
     chosen = [case for case in CASES if options.case in case.name]
     # The first cases are those that carry promises or a table of their own in the README.
-    table, figures, promises = accuracy.by_case(chosen[: QUICK_CASES if options.quick else None], options.seeds)
+    table, figures, promises = coverage.by_case(chosen[: QUICK_CASES if options.quick else None], options.seeds)
     return [table], figures, promises
 
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
+from benchmarks.accuracy import ceiling
 from benchmarks.common.tables import Table
-from benchmarks.reconstruction import ceiling, rendered
-from benchmarks.reconstruction.cases import HARD, Case, random_case
+from benchmarks.reconstruction import rendered
+from benchmarks.reconstruction.cases import HARD, Case, random_case, scaled
 from sim.evaluate.point_errors import RINGS, PointErrors, Ring, point_errors
 
 _RINGS = tuple(name for name, _, _ in RINGS)
@@ -107,14 +108,6 @@ def main(given: list[str]) -> int:
     for what in (what for what, kept in promises if not kept):
         console.print(f"MISSED {what}", highlight=False)
     return 0 if all(kept for _, kept in promises) else 1
-
-
-def scaled(case: Case, scale: float) -> Case:
-    """The case with fewer pixels and fringes."""
-    if scale == 1.0:
-        return case
-    layout = case.layout.scaled(scale)
-    return replace(case, layout=layout, periods=case.periods * scale)
 
 
 if __name__ == "__main__":

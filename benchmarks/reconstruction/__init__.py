@@ -1,1 +1,1 @@
-"""Speed, scale and accuracy of the reconstruction, and of other programs on the same images."""
+"""Cases, speed and scale of the reconstruction, and other programs on the same images."""

@@ -149,3 +149,11 @@ def random_case(number: int) -> Case:
         modulated=bool(abs(fraction - 0.5) < 0.03 and rng.random() < 0.5),
         periods=float(rng.choice([64.0, 80.0, 96.0, 112.0])),
     )
+
+
+def scaled(case: Case, scale: float) -> Case:
+    """The case with fewer pixels and fringes."""
+    if scale == 1.0:
+        return case
+    layout = case.layout.scaled(scale)
+    return replace(case, layout=layout, periods=case.periods * scale)

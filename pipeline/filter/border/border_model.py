@@ -1,4 +1,4 @@
-"""Coefficients of the border test, written by ``python -m benchmarks.border_model``."""
+"""Coefficients of the border test, written by ``python -m benchmarks.accuracy.border_model``."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 A pixel at a border sees two surfaces, or is fitted from a window that straddles them. A quadratic logistic regression
 of its figures gives the probability that the point is wrong, a linear one of the logarithm the variance of its error.
-``python -m benchmarks.border_model`` fits the coefficients to simulated images.
+``python -m benchmarks.accuracy.border_model`` fits the coefficients to simulated images.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.reconstruction.cases import Case, random_case
-from benchmarks.trust import errors_of, scaled
+from benchmarks.reconstruction.cases import Case, random_case, scaled
+from benchmarks.trust import errors_of
 from pipeline.common.settings import Settings
 from pipeline.fringe_order.order_margins import AMBIGUOUS_SHARE, CELL, SAMPLES, Groups, least_margins
 from pipeline.reconstruct.column_correction import CLEARLY_MORE, COMPARED_WITHIN, improbability, minima, other_shifts

@@ -10,8 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from benchmarks.reconstruction.cases import HARD
-from benchmarks.trust import scaled
+from benchmarks.reconstruction.cases import HARD, scaled
 from pipeline.monitor.checked_reconstructor import CheckedReconstructor
 from pipeline.monitor.consistency import LIMITS, judged, together
 from pipeline.reconstruct.consistency import ColumnScan, Reading

@@ -8,7 +8,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from benchmarks.selfcheck import Rig
+from benchmarks.calibration.selfcheck import Rig
 from drivers.protocols import Side
 from pipeline.common.errors import ImageError
 from pipeline.monitor.observe import Observation, Observer, Reading, warm_up

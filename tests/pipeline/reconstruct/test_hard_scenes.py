@@ -8,7 +8,8 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.reconstruction.cases import CASES as CASES_OF_ACCURACY
-from benchmarks.trust import HARD, errors_of, scaled
+from benchmarks.reconstruction.cases import HARD, scaled
+from benchmarks.trust import errors_of
 
 CASES = {case.name: case for case in (*HARD, *CASES_OF_ACCURACY)}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks import box_soak
+from benchmarks.system import box_soak
 
 
 @pytest.mark.parametrize(

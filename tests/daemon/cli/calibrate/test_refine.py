@@ -11,7 +11,7 @@ import typer
 import yaml
 from typer.testing import CliRunner
 
-from benchmarks.selfcheck import Rig
+from benchmarks.calibration.selfcheck import Rig
 from daemon.apps.calibration.views import drift_pairs
 from daemon.apps.calibration.views.drift_pairs import from_take
 from daemon.cli.calibrate import refine as calibrate_refine

@@ -1,4 +1,4 @@
-"""Effects that the simulator does not have, on the standard scene; ``python -m benchmarks.effects --scale 0.5``.
+"""Effects that the simulator does not have: ``python -m benchmarks.accuracy.effects``, on the standard scene.
 
 The light on the sensors, or the images, are changed between rendering and reconstruction: scattering, glare, blur,
 displacement, unequal cameras and pixels. The exit code is 1 if a limit of the hard scenes is missed.
@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from benchmarks.common.tables import Table
-from benchmarks.reconstruction.cases import HARD, Case
-from benchmarks.trust import scaled
+from benchmarks.reconstruction.cases import HARD, Case, scaled
 from sim.evaluate.point_errors import point_errors
 from sim.render import sensor
 from sim.render.projected_light import projected_light

@@ -28,12 +28,12 @@ _SIMULATION = {"scene": "plane", "frames": 4, "rate_hz": 10.0, "layout": {"scale
 def main(arguments: list[str]) -> int:
     """Print the table; 1 when the median time from SIGKILL to the next cloud is above the goal."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.service", description=(__doc__ or "").partition("\n")[0]
+        prog="python -m benchmarks.system.service", description=(__doc__ or "").partition("\n")[0]
     )
     parser.add_argument("--times", type=int, default=5, help="how often each is measured")
     times = parser.parse_args(arguments).times
     if reason := missing():
-        sys.stderr.write(f"benchmarks.service: {reason}\n")
+        sys.stderr.write(f"benchmarks.system.service: {reason}\n")
         return 2
     with Machine() as machine:
         (machine.root / "root/rig.yaml").write_text(rig(simulation=_SIMULATION))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.effects import COUNTS, IMAGES, LIGHT, displaced, with_effect
+from benchmarks.accuracy.effects import COUNTS, IMAGES, LIGHT, displaced, with_effect
 from benchmarks.reconstruction.cases import HARD
 
 CASE = HARD[0]

@@ -42,7 +42,7 @@ json.dump(found, sys.stdout)
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     environment = {"NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("cache")), "NUMBA_NUM_THREADS": "1"}
     result = subprocess.run(
-        [sys.executable, "-c", PROGRAM], cwd=Path(__file__).parents[2], env=os.environ | IN_HEAP | environment,
+        [sys.executable, "-c", PROGRAM], cwd=Path(__file__).parents[3], env=os.environ | IN_HEAP | environment,
         stdout=subprocess.PIPE, timeout=120, check=True,
     )  # fmt: skip
     counts: dict[str, Any] = json.loads(result.stdout)

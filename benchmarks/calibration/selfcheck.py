@@ -1,4 +1,4 @@
-"""Delay of the self-check's reports and rate of its false alarms: ``python -m benchmarks.selfcheck``.
+"""Delay of the self-check's reports and rate of its false alarms: ``python -m benchmarks.calibration.selfcheck``.
 
 A moving scene is rendered by the true rig and by rigs that were disturbed a little, and reconstructed with the
 calibration of the true one. Every checked pair has a noise of its own.

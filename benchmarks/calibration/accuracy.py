@@ -1,4 +1,4 @@
-"""Accuracy of a calibration: ``python -m benchmarks.calibration``, on sessions of the simulated rig.
+"""Accuracy of a calibration: ``python -m benchmarks.calibration.accuracy``, on sessions of the simulated rig.
 
 A session of board views is rendered once and read out with another noise for every seed. Every seed is calibrated from
 its images alone; the errors are those against the rig that was rendered, and their scatter over the seeds must

@@ -1,4 +1,4 @@
-"""Measuring with a rig's own calibration: ``python -m benchmarks.calibrated``, from scratch to clouds, in simulation.
+"""Measuring with a rig's own calibration: ``python -m benchmarks.calibration.calibrated``, in simulation.
 
 Colours, cameras and projector of a rendered rig (12 % crosstalk, gamma 2.2, noise) are calibrated from its images
 alone; then scenes are measured with that calibration and with the true one. The world of a calibration is its
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.calibration import SIDES, marks_of
+from benchmarks.calibration.accuracy import SIDES, marks_of
 from pipeline.calibrate.bundle import calibrate
 from pipeline.calibrate.color import PhaseError, calibrate_color, check_sequence, color_sequence, phase_error
 from pipeline.calibrate.color.solution import ColorSolution

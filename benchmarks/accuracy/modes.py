@@ -1,4 +1,4 @@
-"""The single shot against sets of images and against the truth: ``python -m benchmarks.modes``, in simulation.
+"""The single shot against sets of images and against the truth: ``python -m benchmarks.accuracy.modes``, in simulation.
 
 Scenes at rest are measured in every mode, by every kind of camera. Then a plane moves, towards the rig or sideways;
 every image of a set is taken at its own time. Points of a mode must be right or unknown: the exit code is 1
@@ -172,7 +172,7 @@ def _moved(cloud: Cloud) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; 1 when a promise is broken."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.modes", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy.modes", description=__doc__)
     parser.add_argument("--scale", type=float, default=0.5, help="of all images; default: %(default)s")
     parser.add_argument("--only", choices=("rest", "motion"), help="one half of it")
     parser.add_argument("--markdown", action="store_true", help="tables as Markdown")

@@ -1,4 +1,4 @@
-"""The calibration check on disturbed rigs and on intact ones: ``python -m benchmarks.disturbed --clean 500``.
+"""The calibration check on disturbed and on intact rigs: ``python -m benchmarks.calibration.disturbed --clean 500``.
 
 The images come from rigs whose devices stand otherwise than the calibration has them: turned, exchanged, with another
 focal length. Each row compares what a daemon without the check would publish with what it publishes. Intact rigs with
@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from benchmarks.common.tables import Table
-from benchmarks.reconstruction.cases import HARD, Case
-from benchmarks.trust import scaled
+from benchmarks.reconstruction.cases import HARD, Case, scaled
 from pipeline.monitor.checked_reconstructor import CheckedReconstructor
 from pipeline.reconstruct.consistency import Consistency
 from pipeline.reconstruct.reconstructor import Reconstructor

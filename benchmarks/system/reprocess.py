@@ -1,6 +1,6 @@
 """Reprocessing against a plain replay, its scaling and overhead; a simulation of larger clusters with these figures.
 
-    python -m benchmarks.reprocess [--pairs 120] [--folder DIR]
+    python -m benchmarks.system.reprocess [--pairs 120] [--folder DIR]
 
 The take holds full-size pairs, rendered once. Clouds are computed and not written, so that the disk is not measured.
 """

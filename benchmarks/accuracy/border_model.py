@@ -1,8 +1,9 @@
-"""Fit of the border test's coefficients to simulated images; ``python -m benchmarks.border_model`` writes them.
+"""Fit of the border test's coefficients to simulated images: ``python -m benchmarks.accuracy.border_model``.
 
 Points at the borders of surfaces of the hard cases, at full and half size, with figures as the pipeline computes them.
 Wrong points (by more than 6 mm, or without truth) against right ones: logistic regression. Errors of the others:
 regression of the logarithm of the variance, by maximum likelihood of a normal distribution.
+``--write`` writes the coefficients into the pipeline's module.
 """
 
 from __future__ import annotations
@@ -18,8 +19,7 @@ from numpy.typing import NDArray
 
 import pipeline.filter.border.border_model
 from benchmarks.reconstruction import rendered
-from benchmarks.reconstruction.cases import HARD, Case, random_case
-from benchmarks.trust import scaled
+from benchmarks.reconstruction.cases import HARD, Case, random_case, scaled
 from pipeline.common.settings import Settings
 from pipeline.filter import point_filter
 from pipeline.filter.border.border_figures import border_figures

@@ -1,4 +1,4 @@
-"""Soak test of the whole loop on emulated hardware: ``python -m benchmarks.box_soak --triggers 200000``.
+"""Soak test of the whole loop on emulated hardware: ``python -m benchmarks.system.box_soak --triggers 200000``.
 
 A daemon measures a rig in a box (X server, projector window, emulated GenICam cameras) in fast lock-step, under random
 faults of a seed: frames that are lost, broken, late or doubled, edges that one camera never sees, blackouts, and
@@ -202,7 +202,7 @@ def describe(result: Result) -> str:
 
 def arguments(given: list[str]) -> argparse.Namespace:
     """Options of the command line."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.box_soak", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.system.box_soak", description=__doc__)
     parser.add_argument("--triggers", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--scale", type=float, default=0.0625, help="size of the images, 1 = 1024 x 820")

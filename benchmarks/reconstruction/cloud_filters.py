@@ -1,4 +1,4 @@
-"""Time of each cloud filter and optional part at full size: ``python -m benchmarks.cloud_filters``.
+"""Time of each cloud filter and optional part at full size: ``python -m benchmarks.reconstruction.cloud_filters``.
 
 A tilted plane with noise; a quarter of the image is unknown, mostly in two patches, a hundredth in single pixels.
 Processor time of one thread, so that other programs on the machine do not count; of the parts wall time, too, with all

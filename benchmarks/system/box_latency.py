@@ -1,4 +1,4 @@
-"""Latency from the edge on the trigger lines to the cloud: ``python -m benchmarks.box_latency``.
+"""Latency from the edge on the trigger lines to the cloud: ``python -m benchmarks.system.box_latency``.
 
 A daemon measures a rig in a box at a steady rate: real drivers, real stream, and cameras whose frames are sent after
 exposure and readout, as real ones are. Every time is taken where the event happens, on one machine, with one clock;
@@ -162,7 +162,7 @@ def _subscribe(endpoint: str, times: Times, ended: threading.Event) -> None:
 
 def arguments(given: list[str]) -> argparse.Namespace:
     """Options of the command line."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.box_latency", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.system.box_latency", description=__doc__)
     parser.add_argument("--count", type=int, default=1500, help="triggers")
     parser.add_argument("--rate", type=float, default=20.0, help="triggers a second")
     parser.add_argument("--scale", type=float, default=0.25, help="size of the images, 1 = 1024 x 820")

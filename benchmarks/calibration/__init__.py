@@ -1,0 +1,1 @@
+"""Accuracy of calibrations, and the detection of wrong ones."""
