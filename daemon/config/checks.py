@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from daemon.config.driver_table import CAMERAS, PROJECTORS, RIGS
-from daemon.config.security import key_problems
+from daemon.config.sections.security import key_problems
 from daemon.config.simulation import simulation_problems
 from daemon.config.yaml_source import KeyPath
 from pipeline.common.errors import PipelineError

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
-from daemon.config.health import Health
-from daemon.config.outputs import Outputs, path_or_inline
-from daemon.config.section import Section
-from daemon.config.security import Security
-from daemon.config.sequence import Mode, Sequencing
+from daemon.config.sections.health import Health
+from daemon.config.sections.outputs import Outputs, path_or_inline
+from daemon.config.sections.section import Section
+from daemon.config.sections.security import Security
+from daemon.config.sections.sequence import Mode, Sequencing
 from fringed.control import address
 
 Off = BeforeValidator(lambda value: "off" if value is False else value)

@@ -115,7 +115,7 @@ def _store(directory: Path | None, rig: Path | None) -> KeyStore:
         return KeyStore(directory)
     if rig is None:
         return KeyStore(default_dir())
-    from daemon.config.security import keys_dir
+    from daemon.config.sections.security import keys_dir
 
     directory = keys_dir(rig)
     if directory is None:

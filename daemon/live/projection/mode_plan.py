@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.common.errors import DaemonError
-from daemon.config.sequence import Sequencing
+from daemon.config.sections.sequence import Sequencing
 from daemon.live.items import SINGLE
 from pipeline.pattern.sequence import FrameSequence
 

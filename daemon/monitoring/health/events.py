@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from daemon.config.health import Health as Config
+from daemon.config.sections.health import Health as Config
 from daemon.monitoring.health.hysteresis import Hysteresis
 from daemon.monitoring.health.rules import RULES, Level, Rule
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from daemon.config.health import Health as Config
+from daemon.config.sections.health import Health as Config
 
 Change = Literal["raised", "cleared", "unknown"]
 

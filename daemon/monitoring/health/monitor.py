@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.config.health import Health as Config
+from daemon.config.sections.health import Health as Config
 from daemon.monitoring.health.events import RuleEvaluator
 from daemon.monitoring.health.history import History
 from daemon.monitoring.health.observe.clock_sync import ClockSync

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from daemon.config.health import HealthLimits
+from daemon.config.sections.health import HealthLimits
 from daemon.monitoring.health.quantities import format_value
 
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from daemon.config.health import Health as Config
-from daemon.config.health import HealthLimits
+from daemon.config.sections.health import Health as Config
+from daemon.config.sections.health import HealthLimits
 from daemon.live.items import CloudItem, Pair
 from drivers.protocols import Frame, Side
 from pipeline.reconstruct.cloud import Cloud

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from daemon.config.health import HealthLimits
+from daemon.config.sections.health import HealthLimits
 from daemon.live.items import CloudItem
 from daemon.monitoring.health.observe.illumination import Illumination
 from daemon.monitoring.health.rules import RULES

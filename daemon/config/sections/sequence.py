@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from daemon.config.section import Section
+from daemon.config.sections.section import Section
 
 MODES = ("single", "two_color", "heterodyne", "gray")
 Mode = Annotated[

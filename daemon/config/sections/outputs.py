@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
-from daemon.config.section import Section
+from daemon.config.sections.section import Section
 from fringed.errors import FringedError
 from fringed.parts import BASIC, PARTS, parse_parts
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from daemon.config.section import Section
+from daemon.config.sections.section import Section
 from daemon.config.yaml_source import KeyPath, read_yaml
 
 

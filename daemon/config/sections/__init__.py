@@ -1,0 +1,1 @@
+"""Models of the sections of rig.yaml that have a module of their own."""
