@@ -51,7 +51,7 @@ def images(box: Box) -> list[np.ndarray]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
+@pytest.mark.parametrize("encoding", [pytest.param("rgb8", marks=pytest.mark.long), "bayer_rggb8"])
 def test_frames_are_what_was_shown_and_pairs_are_right(make_box: Callable[..., Box], encoding: str) -> None:
     box = make_box(encoding=encoding)
     optics, layout = box.options.simulation.optics, box.options.layout

@@ -49,7 +49,7 @@ def write(path: Path, mode: str) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", ["two_color", "gray"])
+@pytest.mark.parametrize("mode", [pytest.param("two_color", marks=pytest.mark.long), "gray"])
 def test_sets_are_those_of_a_replay(tmp_path: Path, mode: str) -> None:
     take, settings = write(tmp_path / "a.mcap", mode), Settings(cluster_min_area=20)
     files, verdicts = replayed(take, settings=settings)
