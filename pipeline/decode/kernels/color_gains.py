@@ -25,7 +25,7 @@ WIDEST_PX = 30.0
 area, displaces points by millimetres there."""
 LARGEST_GAIN = 16.0
 BLOCK = 64
-"""Pixels of a row that have gains or none together."""
+"""Pixels of a row whose gains are computed together, if one of them is strongly coloured."""
 LAG = 4
 """Pixels to either side between which the change of the gains is taken."""
 CHANGE = 0.5
@@ -54,6 +54,7 @@ def _flag_colored(balance: Any, limits: Any, flags: Any) -> None:
 
 @serial
 def _gains(balance: Any, limits: Any, out: Any) -> None:
+    """Gains (3, n) of successive pixels."""
     zero, one, most = np.float32(0.0), np.float32(1.0), np.float32(LARGEST_GAIN)
     third, four = np.float32(1 / 3), np.float32(4.0)
     mild, slope = limits[0], limits[1]
