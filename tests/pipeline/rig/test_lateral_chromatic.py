@@ -215,9 +215,11 @@ def test_chromatic_correction_improves_a_plane():
     pair = render_pair(LAYOUT, build("plane"), LAYOUT.pattern(PERIODS), optics)
     without = render_pair(LAYOUT, build("plane"), LAYOUT.pattern(PERIODS), Optics(noise=0.3))
     plain = LAYOUT.calibration_for(optics)
-    errors = [
-        score(measured(calibration, shown, "rgb8")[0].xyz, pair.truth_left).rms_mm
+    scores = [
+        score(measured(calibration, shown, "rgb8")[0].xyz, pair.truth_left)
         for calibration, shown in ((plain, without), (plain, pair), (displaced_rig(chromatic, shift), pair))
     ]
-    floor, before, after = np.square(errors)
-    assert after - floor < (before - floor) / 4
+    # Where the surface's colour changes, the displaced channels see different surfaces, which no angle corrects.
+    for name, share in (("smooth_rms_mm", 0.1), ("rms_mm", 0.3)):
+        floor, before, after = np.square([getattr(one, name) for one in scores])
+        assert after - floor < share * (before - floor)
