@@ -109,7 +109,7 @@ class Gates:
         surfaces.find(valid, self._link, self._smallest)
         surfaces.paint(label)
         drop_mixed_edges(bands, label, modulation, np.float32(s.edge_threshold), valid)
-        self._test_components(match, agreement, scale)
+        self._test_components(match, agreement, mean, scale)
         np.copyto(self._before, valid)
         edge_test(
             blocks(len(label), EDGE_ROWS), label, agreement.deviation, _LOSS, HIGH, np.float32(EDGE_LOSS),
@@ -125,7 +125,7 @@ class Gates:
             )
         surfaces.find(valid, self._link, self._smallest)
         reject_contradicted(self._before, valid, label, surfaces, self._large, self._stride)
-        self._test_components(match, agreement, scale)
+        self._test_components(match, agreement, mean, scale)
         surfaces.paint(label)
         if reject_ambiguous is not None:
             reject_ambiguous(label, surfaces.sizes, valid)
@@ -142,11 +142,10 @@ class Gates:
         reject_narrow(valid, surfaces, self._smallest, self._stride)
         return valid
 
-    def _test_components(self, match: MatchResult, agreement: Agreement, scale: Scale) -> None:
+    def _test_components(self, match: MatchResult, agreement: Agreement, mean: Any, scale: Scale) -> None:
         component_test(
-            self._valid, match, agreement.deviation, self._surfaces, self._large, scale,
-            self._settings.cluster_phase_threshold,
-            self._phase_weight,
+            self._valid, match, agreement.deviation, mean, self._surfaces, self._large, scale,
+            self._settings.cluster_phase_threshold, self._phase_weight, self._stride,
         )  # fmt: skip
 
 

@@ -99,6 +99,18 @@ def other_shifts(
     return np.asarray(np.concatenate([shifts, shifts / 2]), dtype=np.float64)
 
 
+def warnings_of(shifts: F64) -> tuple[str, ...]:
+    """Why surfaces without texture get no points, a sentence for any offsets of :func:`other_shifts`."""
+    if not len(shifts):
+        return ()
+    # Halves of them are compared as well.
+    columns = ", ".join(f"{shift:+.2f}" for shift in shifts[: len(shifts) // 2])
+    return (
+        f"the first pair agrees with other offsets of the projector as well ({columns} columns): surfaces of uniform "
+        "texture get no points; start with more depth or texture in view",
+    )
+
+
 def column_differences(view: View, match: MatchResult, correction: Correction) -> tuple[F64, F64, F64]:
     """Observed minus calibrated projector coordinate of matched pixels (a subset), and their coordinates."""
     part = np.s_[::3, ::2]

@@ -113,8 +113,8 @@ class Reconstructor:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the first pair showed of the cameras that a user should correct, a sentence each."""
-        return camera_response.warnings_of(self.response)
+        """What a user should correct at the cameras, and why surfaces get no points, a sentence each."""
+        return camera_response.warnings_of(self.response) + column_correction.warnings_of(self.other_shifts)
 
     def state(self) -> CorrectionState:
         """What the first pair sets: column correction and response, 7 numbers, and whether they were measured."""

@@ -2,20 +2,23 @@
 
 A surface that areas seen by one camera only make up agrees in left and right phase by construction, but its texture is
 that of two different places, and it has no reason to agree with the projector's phase. Both are counted as
-logarithms of likelihood ratios, true against false.
+logarithms of likelihood ratios, true against false. A texture that would agree at displaced places as well, as that of
+a bare wall, is hardly any evidence for a surface.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from math import sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 from pipeline.filter.occlusion.uniqueness import PARTS
 from pipeline.filter.surfaces.connected_components import Surfaces
-from pipeline.filter.texture_agreement import LOSS, Scale
+from pipeline.filter.texture_agreement import AMPLITUDE_SHARE, DEVIATION_STEPS, LOSS, Scale
 from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
 
 _NO = np.uint8(0)
@@ -25,16 +28,44 @@ _TEXTURE_PIXELS, _PHASE_PIXELS = 25.0, 120.0
 """Pixels that share one independent deviation of the texture, of the projector's phase."""
 _TEXTURE_FLOOR = -2.0
 """Logarithm of the share of true surfaces, glossy ones, whose texture differs between the cameras."""
-_PHASE_LIMIT, _TEXTURE_LIMIT = 3.0, 6.0
-_NEUTRAL_RESIDUAL = 0.05
-"""Rms of the phase against the projector at which it is no evidence, radians."""
+_PHASE_LIMIT, _TEXTURE_LIMIT, _UNIFORM_LIMIT = 3.0, 6.0, 1.0
+"""Most evidence of the projector's phase, of a texture, and of a texture that agrees at displaced places as well."""
+_NEUTRAL_RESIDUAL, _NEUTRAL_INSIDE = 0.05, 0.07
+"""Rms of the phase against the projector at which it is no evidence, radians; the second inside a surface whose
+texture agrees."""
 _LOSS_VARIANCE = 0.5
 _LARGE_STEP = 4
 FALSE_SHARE, BLIND_SHARE = 0.3, 0.12
 """Share between both means at which the loss of a surface is no evidence: false ones agree in part, by chance and by
 the search for the best order; the second where the projector's phase does not help."""
-LEAST_RATIO = -1.0
-"""Logarithm of the likelihood ratio below which a surface is rejected."""
+LEAST_RATIO, LEAST_BLIND = -1.0, 1.5
+"""Logarithm of the likelihood ratio below which a surface is rejected; the second where the projector's phase does not
+help: there wrong orders are as probable as right ones before texture is considered."""
+DISPLACED, INSET = 10, 6
+"""Pixels of the image between which a surface's own texture is compared, and from the ends of its rows to its inside,
+where no window of the phase reaches its border."""
+_LEAST_INSIDE, _LEAST_PAIRS, _DISTINCT = 0.25, 0.5, 0.5
+"""Share of a surface's pixels that must be inside, or be compared with others; the latter is not asked where the
+weight of the projector's phase is below the third."""
+_SQUARES, _LOSS, _PIXELS, _SQUARES_INSIDE, _PIXELS_INSIDE, _OWN_LOSS, _PAIRS = range(7)
+
+
+class Figures(NamedTuple):
+    """What is known of surfaces, (n,) each.
+
+    Args:
+        pixels: their number; mean_loss: of the textures' deviations between the cameras.
+        rms: phase against the projector, radians; rms_inside: the same away from the surface's border, NaN where it
+            has no inside.
+        own_loss: mean loss of the deviations in the left image between pixels :data:`DISPLACED` apart; NaN for
+            surfaces too narrow for it.
+    """
+
+    pixels: Any
+    mean_loss: Any
+    rms: Any
+    rms_inside: Any
+    own_loss: Any
 
 
 @parallel
@@ -42,7 +73,7 @@ def _sums(
     part: int, valid: Any, first: Any, second: Any, deviation: Any, losses: Any, start: Any, stop: Any, count: Any, row:
     Any, surface: Any, size: Any, large: int, total: Any,
 ) -> None:  # fmt: skip
-    """Sums of squared residuals and of losses, and pixels, of surfaces, (3, PARTS, surfaces) int64.
+    """Sums of squared residuals and of losses, and pixels, of surfaces, (7, PARTS, surfaces) int64.
 
     Of surfaces from a size on some rows are enough.
     """
@@ -60,9 +91,47 @@ def _sums(
                     squares += min(a * a, b * b)
                     loss += losses[deviation[i, j]]
                     pixels += 1
-            total[0, part, k] += squares
-            total[1, part, k] += loss
-            total[2, part, k] += pixels
+            total[_SQUARES, part, k] += squares
+            total[_LOSS, part, k] += loss
+            total[_PIXELS, part, k] += pixels
+
+
+@serial
+def _own_loss(valid: Any, mean: Any, displaced: int, per: Any, losses: Any) -> tuple[Any, int]:
+    """Sum of the losses between the pixels of a run that are so far apart, and their number."""
+    loss, pairs = np.int64(0), 0
+    for j in range(displaced, valid.shape[0]):
+        if valid[j] != 0 and valid[j - displaced] != 0:
+            a, b = np.float32(mean[j]), np.float32(mean[j - displaced])
+            loss += losses[np.int32(min(per * abs(a - b) / (a + b + np.float32(2.0)), np.float32(254.0)))]
+            pairs += 1
+    return loss, pairs
+
+
+@parallel
+def _sums_of_small(
+    part: int, valid: Any, first: Any, second: Any, mean: Any, displaced: int, inset: int, per: Any, losses: Any,
+    start: Any, stop: Any, count: Any, row: Any, surface: Any, size: Any, large: int, total: Any,
+) -> None:  # fmt: skip
+    """The other sums of surfaces below a size: of residuals inside, and of losses of their own texture."""
+    height = valid.shape[0]
+    parts = total.shape[1]
+    for i in range(part * height // parts, (part + 1) * height // parts):
+        for t in range(count[0, i]):
+            k = surface[row[i] + t]
+            if k < 0 or size[k] >= large:
+                continue
+            squares, pixels, begin, end = np.int64(0), 0, start[i, t], stop[i, t]
+            for j in range(begin + inset, end - inset):
+                if valid[i, j] != 0:
+                    a, b = np.int64(first[i, j]), np.int64(second[i, j])
+                    squares += min(a * a, b * b)
+                    pixels += 1
+            loss, pairs = _own_loss(valid[i, begin:end], mean[i, begin:end], displaced, per, losses)
+            total[_SQUARES_INSIDE, part, k] += squares
+            total[_PIXELS_INSIDE, part, k] += pixels
+            total[_OWN_LOSS, part, k] += loss
+            total[_PAIRS, part, k] += pairs
 
 
 @parallel
@@ -77,39 +146,65 @@ def reject_surfaces(
 
 
 def component_test(
-    valid: NDArray[np.uint8], match: MatchResult, deviation: NDArray[np.uint8], surfaces: Surfaces, large: int,
-    scale: Scale, largest_rms: float, phase_weight: float,
+    valid: NDArray[np.uint8], match: MatchResult, deviation: NDArray[np.uint8], mean: NDArray[np.uint8],
+    surfaces: Surfaces, large: int, scale: Scale, largest_rms: float, phase_weight: float, stride: int = 1,
 ) -> None:  # fmt: skip
     """Reject surfaces that texture and projector contradict; ``valid`` is changed.
 
     Args:
+        mean: (H, W) of the left image, counts.
         large: pixels from which only ``largest_rms`` counts: such surfaces set the textures' scale themselves.
         scale: of the textures' differences in this pair.
         largest_rms: of the phase against the projector, radians.
         phase_weight: 0..1, how far the projector's phase distinguishes fringe orders in this layout.
+        stride: pixels of the image from one of these pixels to the next.
     """
     f = surfaces
-    total = np.zeros((3, PARTS, len(f.sizes)), np.int64)
-    _sums(
-        PARTS, valid, match.residual_normalised, match.residual, deviation, _LOSSES, f.start, f.stop, f.count, f.first,
-        f.surface, f.sizes, large, total,
-    )  # fmt: skip
-    squares, loss, pixels = total.sum(axis=1).astype(np.float64)
-    n = np.maximum(pixels, 1)
-    rms = RESIDUAL_STEP * np.sqrt(squares / n)
-    ratio = log_likelihood_ratio(n, loss / n / _LOSS_STEPS, rms, scale, phase_weight)
-    rejected = (rms > largest_rms) | ((f.sizes < large) & (ratio < LEAST_RATIO))
+    total = np.zeros((7, PARTS, len(f.sizes)), np.int64)
+    runs = f.start, f.stop, f.count, f.first, f.surface, f.sizes, large
+    residuals = match.residual_normalised, match.residual
+    _sums(PARTS, valid, *residuals, deviation, _LOSSES, *runs, total)
+    per = np.float32(2 * sqrt(1 - AMPLITUDE_SHARE) / scale.mean_sigma * DEVIATION_STEPS)
+    displaced, inset = max(round(DISPLACED / stride), 1), round(INSET / stride)
+    _sums_of_small(PARTS, valid, *residuals, mean, displaced, inset, per, _LOSSES, *runs, total)
+    figures = _figures(total.sum(axis=1).astype(np.float64), 0.0 if phase_weight < _DISTINCT else _LEAST_PAIRS)
+    least = LEAST_BLIND + phase_weight * (LEAST_RATIO - LEAST_BLIND)
+    ratio = log_likelihood_ratio(figures, scale, phase_weight)
+    rejected = (figures.rms > largest_rms) | ((f.sizes < large) & (ratio < least))
     reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
 
 
-def log_likelihood_ratio(pixels: Any, mean_loss: Any, rms: Any, scale: Scale, phase_weight: float) -> Any:
-    """Logarithm of the likelihood ratio of a surface, true against false, from its mean loss and phase residual.
+def _figures(total: NDArray[np.float64], least_pairs: float) -> Figures:
+    """Figures from sums (7, n)."""
+    n = np.maximum(total[_PIXELS], 1)
+    inside, pairs = total[_PIXELS_INSIDE], total[_PAIRS]
+    rms_inside = RESIDUAL_STEP * np.sqrt(total[_SQUARES_INSIDE] / np.maximum(inside, 1))
+    own = total[_OWN_LOSS] / np.maximum(pairs, 1) / _LOSS_STEPS
+    return Figures(
+        n, total[_LOSS] / n / _LOSS_STEPS, RESIDUAL_STEP * np.sqrt(total[_SQUARES] / n),
+        np.where(inside < np.maximum(_LEAST_INSIDE * n, 1), np.nan, rms_inside),
+        np.where(pairs < least_pairs * n, np.nan, own),
+    )  # fmt: skip
 
-    Losses of true and of false surfaces are taken as normal with the means of matched and of unrelated pixels.
+
+def log_likelihood_ratio(figures: Figures, scale: Scale, phase_weight: float) -> Any:
+    """Logarithm of the likelihood ratio of surfaces (n,), true against false, from texture and phase residual.
+
+    Losses of true and of false surfaces are taken as normal with the means of matched and of unrelated pixels, and for
+    what the surface's own texture distinguishes with its own mean.
     """
+    pixels, loss, rms, rms_inside, own_loss = figures
+    share = BLIND_SHARE + phase_weight * (FALSE_SHARE - BLIND_SHARE)
+
+    def evidence(apart: Any) -> Any:
+        middle = scale.matched_loss + share * apart
+        return pixels / _TEXTURE_PIXELS * apart * (middle - loss) / _LOSS_VARIANCE
+
     apart = max(scale.unrelated_loss - scale.matched_loss, 0.0)
-    middle = scale.matched_loss + (BLIND_SHARE + phase_weight * (FALSE_SHARE - BLIND_SHARE)) * apart
-    texture = pixels / _TEXTURE_PIXELS * apart * (middle - mean_loss) / _LOSS_VARIANCE
-    per = np.log(_NEUTRAL_RESIDUAL / np.maximum(rms, RESIDUAL_STEP))
+    own = np.where(np.isnan(own_loss), apart, np.clip(own_loss - scale.matched_loss, 0.0, apart))
+    texture = np.minimum(evidence(apart), _UNIFORM_LIMIT + np.maximum(evidence(own), 0.0))
+    known = ~np.isnan(rms_inside)
+    neutral = np.where(known & (texture > 0), _NEUTRAL_INSIDE, _NEUTRAL_RESIDUAL)
+    per = np.log(neutral / np.maximum(np.where(known, rms_inside, rms), RESIDUAL_STEP))
     phase = np.clip(np.maximum(pixels / _PHASE_PIXELS, 1.0) * per, -_PHASE_LIMIT, _PHASE_LIMIT)
     return np.clip(texture, _TEXTURE_FLOOR, _TEXTURE_LIMIT) + phase_weight * phase

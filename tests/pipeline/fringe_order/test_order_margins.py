@@ -11,7 +11,14 @@ from benchmarks.reconstruction.cases import Case, random_case, scaled
 from benchmarks.trust import errors_of
 from pipeline.common.settings import Settings
 from pipeline.fringe_order.order_margins import AMBIGUOUS_SHARE, CELL, SAMPLES, Groups, least_margins
-from pipeline.reconstruct.column_correction import CLEARLY_MORE, COMPARED_WITHIN, improbability, minima, other_shifts
+from pipeline.reconstruct.column_correction import (
+    CLEARLY_MORE,
+    COMPARED_WITHIN,
+    improbability,
+    minima,
+    other_shifts,
+    warnings_of,
+)
 from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.evaluate.point_errors import point_errors
 from sim.render.render_pair import render_pair
@@ -167,3 +174,9 @@ def test_scenes_that_no_limit_was_set_on() -> None:
     assert max(one.wrong for one in found) < 0.004
     assert min(one.covered for one in found) > 0.6
     assert all(0.7 < one.error_to_sigma < 1.4 for one in found)
+
+
+def test_a_user_reads_why_uniform_surfaces_get_no_points() -> None:
+    assert warnings_of(np.empty(0)) == ()
+    (offsets,) = warnings_of(np.array([-0.2, 0.45, -0.1, 0.225]))
+    assert "(-0.20, +0.45 columns)" in offsets

@@ -9,39 +9,66 @@ import pytest
 
 from pipeline.filter.point_filter import phase_weight
 from pipeline.filter.surfaces import connected_components
-from pipeline.filter.surfaces.component_test import component_test, log_likelihood_ratio
+from pipeline.filter.surfaces.component_test import Figures, component_test, log_likelihood_ratio
 from pipeline.filter.surfaces.connected_components import Surfaces
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, Scale
 from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
 
 TEXTURED = Scale(0.0, 0.01, 0.0, 0.02, 0.3, 2.4)
 PLAIN = TEXTURED._replace(unrelated_loss=0.3)
+NONE = np.nan
+"""No inside, or too narrow to compare its texture with itself."""
+
+
+def _ratio(
+    pixels: float, loss: Any, rms: Any, scale: Scale, weight: float = 1.0, *, inside: Any = NONE, own: Any = NONE
+) -> Any:
+    return log_likelihood_ratio(Figures(pixels, loss, rms, np.asarray(inside), np.asarray(own)), scale, weight)
 
 
 def test_the_evidence_for_a_surface_falls_with_its_loss_and_with_its_phase_residual() -> None:
     loss, rms = np.linspace(0, 4, 30), np.linspace(0.01, 0.5, 30)
-    assert (np.diff(log_likelihood_ratio(100.0, loss, 0.05, TEXTURED, 1.0)) <= 0).all()
-    assert (np.diff(log_likelihood_ratio(100.0, 0.5, rms, TEXTURED, 1.0)) <= 0).all()
+    for own in (NONE, 0.3, 1.5):
+        assert (np.diff(_ratio(100.0, loss, 0.05, TEXTURED, own=own)) <= 0).all()
+        assert (np.diff(_ratio(100.0, 0.5, rms, TEXTURED, own=own)) <= 0).all()
+        assert (np.diff(_ratio(100.0, 0.5, 0.05, TEXTURED, inside=rms, own=own)) <= 0).all()
+
+
+def test_the_evidence_for_a_surface_rises_with_what_its_own_texture_distinguishes() -> None:
+    ratios = _ratio(200.0, 0.35, 0.05, TEXTURED, own=np.linspace(0, 4, 30))
+    assert (np.diff(ratios) >= 0).all()
+    assert ratios[0] == pytest.approx(1.0)
+    assert ratios[-1] == pytest.approx(6.0)
 
 
 def test_texture_counts_for_nothing_where_there_is_none() -> None:
-    few, many = (log_likelihood_ratio(500.0, loss, 0.05, PLAIN, 1.0) for loss in (0.1, 3.0))
+    few, many = (_ratio(500.0, loss, 0.05, PLAIN) for loss in (0.1, 3.0))
     assert few == many == pytest.approx(0.0)
 
 
 def test_the_phase_counts_for_nothing_where_the_layout_is_blind() -> None:
     assert phase_weight(2.0, linear=True) == 0.0
     assert phase_weight(2.0, linear=False) == phase_weight(1 / 0.382, linear=True) == 1.0
-    low, high = (log_likelihood_ratio(500.0, 0.3, rms, TEXTURED, 0.0) for rms in (0.01, 0.4))
+    low, high = (_ratio(500.0, 0.3, rms, TEXTURED, 0.0) for rms in (0.01, 0.4))
     assert low == high
 
 
-def _tested(deviation: Any, residual: Any, scale: Scale) -> Any:
-    """What remains of three surfaces of 30 x 30 pixels side by side."""
+def _tested(
+    deviation: Any, residual: Any, scale: Scale, *, mean: Any = None, weight: float = 1.0, border: float = 0.0
+) -> Any:
+    """What remains of three surfaces of 30 x 30 pixels side by side.
+
+    Args:
+        deviation, residual: of each; border: residual of the outer pixels of their rows beyond that.
+        mean: (30, 90) of the left image, default: a texture.
+    """
     shape = (30, 90)
     valid = np.ones(shape, np.uint8)
     match = MatchResult.empty(shape)
     match.residual[:] = match.residual_normalised[:] = np.rint(np.repeat(residual, 30) / RESIDUAL_STEP)
+    outer = np.abs(np.arange(90) % 30 - 14.5) > 9
+    match.residual[:, outer] += round(border / RESIDUAL_STEP)
+    match.residual_normalised[:, outer] += round(border / RESIDUAL_STEP)
     match.absolute_phase[:] = np.repeat([0, 5000, 10000], 30)
     match.right_u[:], match.right_v[:] = 8 * np.arange(90), 8 * np.arange(30)[:, None]
     link = np.empty(shape, np.uint8)
@@ -51,7 +78,8 @@ def _tested(deviation: Any, residual: Any, scale: Scale) -> Any:
     surfaces = Surfaces(shape)
     assert surfaces.find(valid, link, 50) == 3
     steps = np.tile(np.rint(np.repeat(deviation, 30) * DEVIATION_STEPS).astype(np.uint8), (30, 1))
-    component_test(valid, match, steps, surfaces, 10**6, scale, 0.2, 1.0)
+    texture = np.random.default_rng(1).integers(60, 120, shape, np.uint8) if mean is None else mean
+    component_test(valid, match, steps, texture, surfaces, 10**6, scale, 0.2, weight)
     return valid.reshape(30, 3, 30).mean(axis=(0, 2))
 
 
@@ -65,3 +93,22 @@ def test_a_surface_off_the_projectors_phase_is_rejected_whatever_its_texture() -
 
 def test_a_glossy_surface_stays_where_the_projector_agrees() -> None:
     assert (_tested([0.8, 8.0, 0.8], [0.03, 0.01, 0.03], TEXTURED) == [1, 1, 1]).all()
+
+
+def test_a_uniform_surface_is_rejected_where_its_inside_is_off_the_projectors_phase() -> None:
+    uniform = np.full((30, 90), 80, np.uint8)
+    residual = [0.03, 0.11, 0.03]
+    assert (_tested([0.8, 0.8, 0.8], residual, TEXTURED, mean=uniform) == [1, 0, 1]).all()
+    assert (_tested([0.8, 0.8, 0.8], residual, TEXTURED) == [1, 1, 1]).all()
+
+
+def test_residuals_at_the_border_of_a_surface_are_none_of_its_inside() -> None:
+    uniform = np.full((30, 90), 80, np.uint8)
+    assert (_tested([0.8, 0.8, 0.8], [0.03, 0.03, 0.03], TEXTURED, mean=uniform, border=0.12) == [1, 1, 1]).all()
+
+
+def test_where_the_layout_is_blind_only_a_surface_with_texture_of_its_own_stays() -> None:
+    mean = np.random.default_rng(2).integers(60, 120, (30, 90), np.uint8)
+    mean[:, 30:60] = 80
+    assert (_tested([0.8, 0.8, 0.8], [0.03, 0.03, 0.03], TEXTURED, mean=mean, weight=0.0) == [1, 0, 1]).all()
+    assert (_tested([0.8, 0.8, 0.8], [0.03, 0.03, 0.03], TEXTURED, mean=mean, weight=1.0) == [1, 1, 1]).all()
