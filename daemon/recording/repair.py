@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from daemon.common.files import sync_directory
+from daemon.common.files import rename_without_replacing, sync_directory
 from daemon.recording.format.errors import TakeError
 from daemon.recording.format.file_lock import being_written
 from daemon.recording.format.part_names import PARTIAL
@@ -59,8 +59,13 @@ def repair(path: Path, progress: Callable[[int, int], Any] | None = None) -> Rep
         fresh = _copy_undamaged(part, final, progress)
     finally:
         part.close()
-    path.rename(kept)
-    fresh.rename(final)
+    _rename(path, kept)
+    try:
+        _rename(fresh, final)
+    except BaseException:
+        _rename(kept, path)
+        fresh.unlink()
+        raise
     sync_directory(path.parent)
     return RepairResult(final, kept, frames, part.problems)
 
@@ -69,11 +74,17 @@ def _rename_whole(path: Path, final: Path, frames: int) -> RepairResult | None:
     """Give a whole file its final name, which is missing after a crash between write and rename."""
     if path == final:
         return None
-    if final.exists():
-        raise TakeError(f"{path}: {final} exists already; move it away first")
-    path.rename(final)
+    _rename(path, final)
     sync_directory(final.parent)
     return RepairResult(final, final, frames, ["only the name was missing"])
+
+
+def _rename(path: Path, target: Path) -> None:
+    """Rename a file; one of the new name that appeared meanwhile is not replaced."""
+    try:
+        rename_without_replacing(path, target)
+    except FileExistsError:
+        raise TakeError(f"{path}: {target} exists already; move it away first") from None
 
 
 def _copy_undamaged(part: PartReader, final: Path, progress: Callable[[int, int], Any] | None) -> Path:

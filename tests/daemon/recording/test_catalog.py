@@ -171,6 +171,16 @@ def test_a_damaged_chunk_costs_only_its_pair(takes: Path) -> None:
         assert take.whole
 
 
+def test_a_repair_replaces_no_file_that_appears_meanwhile(takes: Path) -> None:
+    partial = takes / "c.mcap.partial"
+    before = partial.read_bytes()
+    with pytest.raises(TakeError, match=r"c\.mcap exists already; move it away first"):
+        repair(partial, lambda _done, _size: (takes / "c.mcap").write_text("another"))
+    assert partial.read_bytes() == before
+    assert (takes / "c.mcap").read_text() == "another"
+    assert not [path.name for path in takes.iterdir() if "repairing" in path.name or "broken" in path.name]
+
+
 def test_a_repair_that_finds_no_room_changes_nothing(takes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     partial = takes / "c.mcap.partial"
     before = partial.read_bytes()
