@@ -74,13 +74,13 @@ Found = dict[tuple[float, float], tuple[Rounds, Rounds]]
 """By scale and rate: alone, and under load."""
 
 
-def read(endpoint: str, seconds: float) -> None:
+def read(endpoint: str, seconds: float, *, shared: bool) -> None:
     """Print the time to here and the time to the finished cloud of every cloud, ms, as JSON; in another process."""
     from fringed import subscribe
 
     found: list[tuple[float, float]] = []
     began_s = passed_s = 0.0
-    for cloud in subscribe(endpoint, topic="cloud/full"):
+    for cloud in subscribe(endpoint, topic="cloud/full", shared=shared):
         now_ns, now_s = time.time_ns(), time.monotonic()
         if not began_s:  # this one may have waited for the connection
             began_s = now_s
@@ -114,22 +114,23 @@ def measure(options: argparse.Namespace, scale: float, rate: float, directory: P
     with DaemonProcess(path, control, directory / "log") as daemon:
         daemon.until(lambda status: status["clouds"] > _WARM_CLOUDS, 900.0, "clouds")
         for _ in range(options.rounds):
-            _round(daemon, stream, options.seconds, alone)
+            _round(daemon, stream, options, alone)
             with ExitStack() as load:
                 daemon.ask("record.start", timeout_s=30.0, name="latency")
                 load.callback(daemon.ask, "record.stop", timeout_s=60.0)
-                load.enter_context(LoadClients(stream, control, OTHERS))
-                _round(daemon, stream, options.seconds, loaded)
+                load.enter_context(LoadClients(stream, control, OTHERS, shared=options.shared))
+                _round(daemon, stream, options, loaded)
             for part in (directory / "takes").glob("*.mcap*"):
                 part.unlink()
     return alone, loaded
 
 
-def _round(daemon: DaemonProcess, stream: str, seconds: float, into: Rounds) -> None:
+def _round(daemon: DaemonProcess, stream: str, options: argparse.Namespace, into: Rounds) -> None:
     time.sleep(_SETTLE_S)
     before, first, began_s = daemon.ask("status"), sample(daemon.pid, 0.0), time.monotonic()
-    command = [sys.executable, "-m", "benchmarks.latency", "--read", stream, "--seconds", str(seconds)]
-    result = subprocess.run(command, stdout=subprocess.PIPE, timeout=seconds + 120, check=True)
+    command = [sys.executable, "-m", "benchmarks.latency", "--read", stream, "--seconds", str(options.seconds)]
+    command += ["--shared"] if options.shared else []
+    result = subprocess.run(command, stdout=subprocess.PIPE, timeout=options.seconds + 120, check=True)
     after, last = daemon.ask("status", timeout_s=30.0), sample(daemon.pid, 1.0)
     into.seconds += time.monotonic() - began_s
     read = json.loads(result.stdout)
@@ -202,6 +203,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--frames", type=int, default=12, help="images in the loop that is played")
     parser.add_argument("--dir", type=Path, help="where the takes are written; some GB (default: temporary directory)")
     parser.add_argument("--out", type=Path, default=Path("out"), help="directory of latency.json")
+    parser.add_argument("--shared", action="store_true", help="subscribers read whole clouds from shared memory")
     parser.add_argument("--read", help=argparse.SUPPRESS)
     return parser.parse_args(given)
 
@@ -210,7 +212,7 @@ def main(given: list[str]) -> int:
     """Measure, print, store."""
     options = arguments(given)
     if options.read:
-        read(options.read, options.seconds)
+        read(options.read, options.seconds, shared=options.shared)
         return 0
     found: Found = {}
     for scale, rate in product(options.scales, options.rates):

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from fringed import wire
 from fringed.control.arguments import checked_timeout_or_none
 from fringed.control.connection import listener_problem
-from fringed.errors import ArgumentError, SilenceError, WireError
+from fringed.errors import ArgumentError, OverwrittenError, SharedMemoryError, SilenceError, WireError
 from fringed.keys import Keys
 from fringed.losses import Losses
-from fringed.parts import BASIC, PARTS, parts_of, topic_of
+from fringed.parts import BASIC, PARTS, parts_of, shared_topic, topic_of
 from fringed.receiver import Receiver
+from fringed.shared_memory import SharedMemory
 
 DEFAULT_ENDPOINT = "tcp://127.0.0.1:5555"
 TOPICS = ("cloud/full", "cloud/depth")
@@ -73,19 +74,32 @@ class _Stream:
     """Common part of the blocking and the async subscription; receives messages, never waits."""
 
     def __init__(
-        self, endpoint: str, topic: str, *, latest: bool, timeout_s: float | None, keys: Keys | None = None
+        self,
+        endpoint: str,
+        topic: str,
+        *,
+        latest: bool,
+        timeout_s: float | None,
+        keys: Keys | None = None,
+        shared: bool | None = False,
     ) -> None:
+        """Subscribe; with ``shared=None`` the clouds are copied where the memory cannot be opened."""
         self._parts = BASIC if topic == TOPICS[0] else parts_of(topic)
         if self._parts is None and topic not in TOPICS:
             raise ArgumentError(f"topic {topic!r} carries no clouds; choose {' or '.join(TOPICS)}, or name parts")
         self.topic, self.latest, self.timeout_s = topic, latest, checked_timeout_or_none(timeout_s)
         self._with_keys = keys is not None
-        self.received = self.skipped = 0
+        self.received = self.skipped = self._overwritten = 0
         self._warned = False
         self._losses = Losses()
         self._rays: wire.Message | None = None
         self._requested_s = time.monotonic()
-        self._clouds = Receiver(endpoint, [topic], queue=_LATEST_QUEUE if latest else _EVERY_QUEUE, keys=keys)
+        self._memory, self._may_copy = None if shared is False else SharedMemory(), shared is None
+        if self._memory is not None and not endpoint.startswith("ipc://"):
+            raise ArgumentError(f"endpoint {endpoint!r} with shared=True: shared memory needs ipc://PATH, the daemon's "
+                                "socket on this machine")  # fmt: skip
+        received = topic if self._memory is None else shared_topic(topic)
+        self._clouds = Receiver(endpoint, [received], queue=_LATEST_QUEUE if latest else _EVERY_QUEUE, keys=keys)
         self._meta: Receiver | None = None
         if topic == "cloud/depth":
             # A socket of its own: clouds must never displace the rays in a short queue.
@@ -93,14 +107,16 @@ class _Stream:
 
     @property
     def lost(self) -> int:
-        """Clouds that were triggered and not received: gaps in ``seq`` within a session."""
-        return self._losses.count
+        """Clouds that were triggered and not received: gaps in ``seq`` within a session, and what was overwritten."""
+        return self._losses.count + self._overwritten
 
     def close(self) -> None:
         """Disconnect; may be called twice."""
         self._clouds.close()
         if self._meta is not None:
             self._meta.close()
+        if self._memory is not None:
+            self._memory.close()
 
     def _sockets(self) -> list[zmq.Socket[Any]]:
         return [self._clouds.socket] + ([self._meta.socket] if self._meta is not None else [])
@@ -117,7 +133,24 @@ class _Stream:
                 break
             self.skipped += 1
             frames = newer
-        return None if frames is None else self._cloud(wire.decode(frames))
+        if frames is None:
+            return None
+        try:
+            return self._cloud(wire.decode(frames, memory=self._memory))
+        except OverwrittenError:
+            self._overwritten += 1
+        except SharedMemoryError as error:
+            if not self._may_copy:
+                raise
+            log.warning("%s; clouds are copied through the socket instead", error)
+            self._copy_instead()
+        return self._take()
+
+    def _copy_instead(self) -> None:
+        """Subscribe to the same clouds without shared memory."""
+        self._clouds.socket.subscribe(self.topic)
+        self._clouds.socket.unsubscribe(shared_topic(self.topic))
+        self._may_copy = False
 
     def _take_rays(self) -> None:
         while self._meta is not None and (frames := self._meta.take()) is not None:
@@ -236,6 +269,7 @@ def subscribe(
     latest: bool = True,
     timeout_s: float | None = None,
     keys: Keys | None = None,
+    shared: bool = False,
 ) -> Subscription:
     """Subscribe to the clouds of a daemon, for ``for`` and ``with``; it connects and reconnects by itself.
 
@@ -247,9 +281,11 @@ def subscribe(
         latest: return the newest cloud and skip older ones; False: every cloud, within the limits of the queues.
         timeout_s: longest wait before SilenceError; None = no limit.
         keys: for a daemon on another machine: ``Keys.load("laptop.key", "server.pub")``.
+        shared: for ``ipc://PATH``: read the clouds from the daemon's shared memory, which takes less of both programs'
+            time than a copy through the socket; :meth:`fringed.Rig.clouds` does so by itself.
     """
     topic = topic if parts is None else topic_of(parts)
-    return Subscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys)
+    return Subscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys, shared=shared)
 
 
 def asubscribe(
@@ -260,10 +296,11 @@ def asubscribe(
     latest: bool = True,
     timeout_s: float | None = None,
     keys: Keys | None = None,
+    shared: bool = False,
 ) -> AsyncSubscription:
     """Subscribe like :func:`subscribe`, for ``async for`` and ``async with``."""
     topic = topic if parts is None else topic_of(parts)
-    return AsyncSubscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys)
+    return AsyncSubscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys, shared=shared)
 
 
 def full_cloud(message: wire.Message, parts: Iterable[str] = BASIC) -> ReceivedCloud:

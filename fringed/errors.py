@@ -22,6 +22,14 @@ class CodecMissingError(WireError):
     """A part is compressed with a codec whose package is not installed."""
 
 
+class SharedMemoryError(WireError):
+    """The daemon's shared memory cannot be opened by this process."""
+
+
+class OverwrittenError(WireError):
+    """A newer cloud has replaced one in shared memory before it was read."""
+
+
 class SilenceError(FringedError, TimeoutError):
     """No cloud was received within the time-out."""
 

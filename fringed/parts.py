@@ -21,6 +21,7 @@ BASIC = ("xyz", "gray", "sigma")
 COMPUTED = frozenset(("rgb", "normals"))
 """Parts that are computed only if a subscriber or the configuration asks for them."""
 _PREFIX, _END = "cloud/parts/", "/"
+_FULL, _SHARED = "cloud/full", "cloud/shared/"
 
 
 def parse_parts(names: str | Iterable[str], where: str = "parts") -> tuple[str, ...]:
@@ -60,3 +61,24 @@ def parts_of(topic: str) -> tuple[str, ...] | None:
     except FringedError:
         return None
     return parts if topic_of(parts) == topic else None
+
+
+def shared_topic(topic: str) -> str:
+    """The topic that has the clouds of ``cloud/full`` or ``cloud/parts/NAMES/`` in shared memory.
+
+    Raises:
+        ArgumentError: a topic whose clouds are not in shared memory.
+    """
+    if topic == _FULL:
+        return f"{_SHARED}full{_END}"
+    if parts_of(topic) is None:
+        raise ArgumentError(f"topic {topic!r} is not in shared memory; choose {_FULL} or name parts")
+    return _SHARED + topic.removeprefix(_PREFIX)
+
+
+def copied_topic(topic: str) -> str | None:
+    """The topic that carries the clouds of a :func:`shared_topic` itself; None for any other topic."""
+    if topic == shared_topic(_FULL):
+        return _FULL
+    named = _PREFIX + topic.removeprefix(_SHARED)
+    return named if topic.startswith(_SHARED) and parts_of(named) is not None else None

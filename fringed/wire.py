@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fringed import codecs
 from fringed.errors import WireError
+from fringed.shared_memory import SharedMemory
 
 VERSION = 1
 MAX_HEADER_BYTES = 4096
@@ -25,6 +26,7 @@ MAX_TOPIC_BYTES = 64
 MAX_PART_BYTES = 1 << 30
 MAX_PARTS = 16
 MAX_SIDE = 1 << 30
+CODECS = (*codecs.CODECS, "shared")
 DTYPES = ("|u1", "<u2", "<u4", "<i2", "<i4", "<f4", "<f8")
 
 Array = NDArray[Any]
@@ -99,6 +101,7 @@ def encode(
     arrays: Mapping[str, Array] | None = None,
     *,
     rows: Mapping[str, Mapping[str, Any]] | None = None,
+    references: Mapping[str, bytes] | None = None,
 ) -> list[Any]:
     """Encode a message as frames for ``send_multipart``.
 
@@ -106,13 +109,14 @@ def encode(
         topic: ASCII; header: its ``parts`` are filled in here.
         arrays: by name; uncompressed ones are not copied if they are little-endian and C contiguous.
         rows: further keys of an array's row, by name: ``codec``, ``scale``, ``offset``, ``media``.
+        references: to arrays that are in shared memory, by name; the message has these instead.
 
     Raises:
         WireError: a header over 4 KiB, or an array of an unsupported type.
     """
     parts, bodies = [], []
     for name, array in (arrays or {}).items():
-        part, body = _encode_part(name, array, (rows or {}).get(name, {}))
+        part, body = _encode_part(name, array, (rows or {}).get(name, {}), (references or {}).get(name))
         parts.append(part)
         bodies.append(body)
     head = msgspec.json.encode(msgspec.structs.replace(header, parts=tuple(parts)))
@@ -121,11 +125,15 @@ def encode(
     return [topic.encode("ascii"), head, *bodies]
 
 
-def decode(frames: Sequence[Any]) -> Message:
+def decode(frames: Sequence[Any], *, memory: SharedMemory | None = None) -> Message:
     """Decode the message in these frames (bytes, memoryviews or ``zmq.Frame``); its arrays are views of them.
+
+    Args:
+        memory: for parts in shared memory, which are copied from there.
 
     Raises:
         WireError: the message violates the format.
+        OverwrittenError, SharedMemoryError: a part cannot be read from shared memory.
         CodecMissingError: a part needs a package that is not installed.
     """
     topic, header = decode_header(frames)
@@ -135,7 +143,7 @@ def decode(frames: Sequence[Any]) -> Message:
     for part, frame in zip(header.parts, frames[2:], strict=True):
         if part.name in arrays:
             raise WireError(f"{topic}: two parts are named {part.name!r}")
-        arrays[part.name] = _decode_part(topic, part, _view(frame))
+        arrays[part.name] = _decode_part(topic, part, _view(frame), memory)
     return Message(topic, header, arrays)
 
 
@@ -175,27 +183,36 @@ def _header(raw: memoryview) -> Header:
         raise WireError(f"header: {error}") from None
 
 
-def _decode_part(topic: str, part: Part, raw: memoryview) -> Array:
+def _decode_part(topic: str, part: Part, raw: memoryview, memory: SharedMemory | None) -> Array:
     where = f"{topic}, part {part.name!r}"
     if part.dtype not in DTYPES:
         raise WireError(f"{where}: dtype {part.dtype!r} is not one of {', '.join(DTYPES)}")
-    if part.codec not in codecs.CODECS:
-        raise WireError(f"{where}: codec {part.codec!r} is not one of {', '.join(codecs.CODECS)}")
+    if part.codec not in CODECS:
+        raise WireError(f"{where}: codec {part.codec!r} is not one of {', '.join(CODECS)}")
     dtype = np.dtype(part.dtype)
     size = prod(part.shape) * dtype.itemsize
     if size > MAX_PART_BYTES:
         raise WireError(f"{where}: {size} bytes, limit {MAX_PART_BYTES}")
-    body: Any = raw if part.codec == "none" else codecs.decompress(raw, size, where)
+    body: Any = raw
+    if part.codec == "shared":
+        if memory is None:
+            raise WireError(f"{where}: it is in shared memory; receive it with subscribe(..., shared=True)")
+        body = memory.read(raw, size, where)
+    elif part.codec != "none":
+        body = codecs.decompress(raw, size, where)
     if len(body) != size:
         raise WireError(f"{where}: {len(body)} bytes received, shape {list(part.shape)} of {part.dtype} needs {size}")
     return np.frombuffer(body, dtype).reshape(part.shape)
 
 
-def _encode_part(name: str, array: Array, row: Mapping[str, Any]) -> tuple[Part, Any]:
-    flat = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
-    if flat.dtype.str not in DTYPES:
-        raise WireError(f"part {name!r}: dtype {flat.dtype.str!r} is not one of {', '.join(DTYPES)}")
-    part = Part(name=name, dtype=flat.dtype.str, shape=array.shape, **row)
+def _encode_part(name: str, array: Array, row: Mapping[str, Any], reference: bytes | None = None) -> tuple[Part, Any]:
+    dtype = array.dtype.newbyteorder("<")
+    if dtype.str not in DTYPES:
+        raise WireError(f"part {name!r}: dtype {dtype.str!r} is not one of {', '.join(DTYPES)}")
+    if reference is not None:
+        return Part(name=name, dtype=dtype.str, shape=array.shape, codec="shared"), reference
+    flat = np.ascontiguousarray(array, dtype=dtype)
+    part = Part(name=name, dtype=dtype.str, shape=array.shape, **row)
     if part.codec == "none":
         return part, flat.data.cast("B") if flat.size else b""
     return part, codecs.compress(flat, part.codec)

@@ -15,10 +15,11 @@ from typing import Any
 
 import msgspec
 
-from fringed import codecs, wire
+from fringed import wire
 from fringed.conformance.recorded import exchanges, messages
 from fringed.protocol import methods, schemas, status, topics
 from fringed.protocol.limits import ERRORS, LIMITS
+from fringed.shared_memory import Reference
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "reference" / "protocol.md"
@@ -39,8 +40,9 @@ def page() -> str:
     text = PROSE.read_text(encoding="utf-8")
     for name, lines in (
         ("header", keys(wire.Header)), ("cloud", keys(wire.CloudHeader, but=wire.Header)), ("part", keys(wire.Part)),
+        ("reference", keys(Reference)),
         ("dtypes", iter([", ".join(f"`{dtype}`" for dtype in wire.DTYPES)])),
-        ("codecs", iter([", ".join(f"`{codec}`" for codec in codecs.CODECS)])),
+        ("codecs", iter([", ".join(f"`{codec}`" for codec in wire.CODECS)])),
         ("topics", topic_sections()), ("methods", method_rows()), ("calls", method_sections()),
         ("status", status_sections()), ("errors", error_rows()), ("limits", limit_rows()), ("refused", refused_rows()),
     ):  # fmt: skip
@@ -75,7 +77,8 @@ def topic_sections() -> Iterator[str]:
                 yield f"`{member}`:\n"
                 yield from keys(kind)
                 yield ""
-        yield from example(json.loads(recorded[topic.name]))
+        if topic.name in recorded:
+            yield from example(json.loads(recorded[topic.name]))
 
 
 def method_rows() -> Iterator[str]:

@@ -1,6 +1,7 @@
 """Clients of a daemon under load: readers of clouds, pollers of the status, slow, stopped and silent ones.
 
-``python -m benchmarks.load.clients KIND ENDPOINT``: one of them, at idle priority, until it is killed.
+``python -m benchmarks.load.clients KIND ENDPOINT [shared]``: one of them, at idle priority, until it is killed. Readers
+of whole clouds can read them from shared memory.
 """
 
 from __future__ import annotations
@@ -10,20 +11,23 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
 from typing import Self
 
 import zmq
 
+from fringed.client import subscribe
+from fringed.parts import shared_topic
 from fringed.receiver import Receiver
 
 _POLL_S, _SLOW_S = 1.0, 0.5
 
 
-def full(endpoint: str) -> None:
-    """Read whole clouds and touch their bytes."""
-    _read(endpoint, "cloud/full")
+def full(endpoint: str, shared: bool = False) -> None:
+    """Read whole clouds."""
+    _read(endpoint, "cloud/full", shared=shared)
 
 
 def light(endpoint: str) -> None:
@@ -31,14 +35,14 @@ def light(endpoint: str) -> None:
     _read(endpoint, "cloud/depth")
 
 
-def slow(endpoint: str) -> None:
+def slow(endpoint: str, shared: bool = False) -> None:
     """Read two whole clouds a second."""
-    _read(endpoint, "cloud/full", pause_s=_SLOW_S)
+    _read(endpoint, "cloud/full", shared=shared, pause_s=_SLOW_S)
 
 
-def silent(endpoint: str) -> None:
+def silent(endpoint: str, shared: bool = False) -> None:
     """Subscribe to whole clouds and never receive one."""
-    with _Subscribed(endpoint):
+    with _Subscribed(endpoint, shared_topic("cloud/full") if shared else "cloud/full"):
         while True:
             time.sleep(3600)
 
@@ -56,7 +60,10 @@ def poller(endpoint: str) -> None:
             time.sleep(_POLL_S)
 
 
-KINDS = {"full": full, "light": light, "slow": slow, "silent": silent, "stopped": full, "poller": poller}
+KINDS: dict[str, Callable[..., None]] = {
+    "full": full, "light": light, "slow": slow, "silent": silent, "stopped": full, "poller": poller,
+}  # fmt: skip
+_SHARING = ("full", "slow", "silent", "stopped")
 
 
 class LoadClients:
@@ -64,17 +71,19 @@ class LoadClients:
 
     Args:
         stream, control: endpoints of the daemon. counts: how many of each kind.
+        shared: whole clouds are read from shared memory.
     """
 
-    def __init__(self, stream: str, control: str, counts: dict[str, int]) -> None:
+    def __init__(self, stream: str, control: str, counts: dict[str, int], *, shared: bool = False) -> None:
         self._processes: list[tuple[str, subprocess.Popen[bytes]]] = []
-        self._stream, self._control, self._counts = stream, control, counts
+        self._stream, self._control, self._counts, self._shared = stream, control, counts, shared
 
     def __enter__(self) -> Self:
         for kind, count in self._counts.items():
             endpoint = self._control if kind == "poller" else self._stream
             for _ in range(count):
                 command = [sys.executable, "-m", "benchmarks.load.clients", kind, endpoint]
+                command += ["shared"] if self._shared and kind in _SHARING else []
                 self._processes.append((kind, subprocess.Popen(command, stdout=subprocess.PIPE)))
         for kind, process in self._processes:
             assert process.stdout is not None
@@ -97,11 +106,11 @@ class LoadClients:
 class _Subscribed:
     """A subscriber of whole clouds that has its first connection and never reads."""
 
-    def __init__(self, endpoint: str) -> None:
+    def __init__(self, endpoint: str, topic: str) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._socket.setsockopt(zmq.RCVHWM, 2)
-        self._socket.subscribe("cloud/full")
+        self._socket.subscribe(topic)
         self._socket.connect(endpoint)
 
     def __enter__(self) -> None:
@@ -112,7 +121,13 @@ class _Subscribed:
         self._context.destroy(linger=0)
 
 
-def _read(endpoint: str, topic: str, pause_s: float = 0.0) -> None:
+def _read(endpoint: str, topic: str, *, shared: bool = False, pause_s: float = 0.0) -> None:
+    if shared:
+        with subscribe(endpoint, topic=topic, shared=True) as clouds:
+            for number, _ in enumerate(clouds):
+                if number == 0:
+                    _report_connected()
+                time.sleep(pause_s)
     receiver, reported = Receiver(endpoint, [topic], queue=2), False
     while True:
         if receiver.poll(1.0) and (frames := receiver.take()) is not None:
@@ -132,4 +147,5 @@ def _report_connected() -> None:
 if __name__ == "__main__":
     os.nice(19)
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    KINDS[sys.argv[1]](sys.argv[2])
+    kind, endpoint, *shared = sys.argv[1:]
+    KINDS[kind](endpoint, *[True for _ in shared])

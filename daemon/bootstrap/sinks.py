@@ -44,6 +44,7 @@ def open_publisher(config: RigConfig, rig: Rig, session: str) -> StatusSink:
         config=config.model_dump(mode="json"),
         preview_hz=config.stream.preview_hz,
         parts=config.outputs.parts,
+        shared_bytes=config.stream.shared_memory_mb * MEGABYTE,
     )
 
 

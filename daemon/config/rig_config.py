@@ -103,6 +103,9 @@ class Stream(Section):
         bool, Field(description="Allow addresses that other machines can reach, with keys only.")
     ] = False
     preview_hz: Annotated[float, Field(ge=0, le=10, description="Images a second; 0 = none.")] = 2.0
+    shared_memory_mb: Annotated[
+        int, Field(ge=0, le=65536, description="Limit of the memory in which programs on this machine read clouds.")
+    ] = 256
 
 
 class Control(Section):

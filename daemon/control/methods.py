@@ -93,8 +93,9 @@ class Methods:
             "protocol": 1,
             "device": service.config.device.name,
             "session": service.session,
-            "stream": _addresses(service, "stream", "endpoints") or list(service.config.stream.endpoints),
-            "remote": _addresses(service, "remote", "stream"),
+            "stream": _of_sink(service, "stream", "endpoints") or list(service.config.stream.endpoints),
+            "remote": _of_sink(service, "remote", "stream"),
+            "shared": bool(_of_sink(service, "stream", "shared")),
             "rig": None if self._path is None else str(self._path.absolute()),
             "methods": sorted(self.table()),
         }
@@ -204,10 +205,11 @@ class Methods:
         return {"state": str(self._service.state()[0])}
 
 
-def _addresses(service: Service, sink: str, key: str) -> list[str]:
-    """Return the addresses that a sink of the stream is bound to, with their real ports."""
+def _of_sink(service: Service, sink: str, key: str) -> list[str]:
+    """Return a value of a sink's status, such as the addresses that it is bound to, with their real ports."""
     made = service.router.sinks.get(sink)
-    return [] if made is None else list(made.status().get(key, ()))
+    value: list[str] = [] if made is None else made.status().get(key, [])
+    return value
 
 
 def _current(path: str) -> str:

@@ -17,6 +17,7 @@ class Hello(Struct, frozen=True, kw_only=True):
     session: Annotated[str, Meta(description="unique for each start of the daemon")]
     stream: Annotated[list[str], Meta(description="addresses of the stream for this machine")]
     remote: Annotated[list[str], Meta(description="addresses of the stream for other machines, with keys")] = []
+    shared: Annotated[bool, Meta(description="clouds are in shared memory for programs on this machine")] = False
     rig: Annotated[str | None, Meta(description="path of rig.yaml on the daemon's machine")] = None
     methods: Annotated[list[str], Meta(description="names of all methods")]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from fringed import codecs, wire
+from fringed import wire
 from fringed.protocol.limits import ERRORS
 from fringed.protocol.methods import METHODS
 from fringed.protocol.status import Status
@@ -116,7 +116,8 @@ def strict(schema: Any) -> Any:
 
 def _key(topic: str) -> str:
     """The name of a topic's definition: a slash would be a separator in a reference."""
-    return "cloud.parts" if topic.startswith("cloud/parts/") else topic.replace("/", ".")
+    chosen = topic.startswith(("cloud/parts/", "cloud/shared/"))
+    return ".".join(topic.split("/")[:2]) if chosen else topic.replace("/", ".")
 
 
 def _header(topic: Topic, definitions: Schema) -> Schema:
@@ -148,7 +149,9 @@ def _parts(topic: Topic, definitions: Schema) -> Schema:
     row = _schema(wire.Part, definitions)
     conditions: list[Schema] = []
     for part in topic.parts:
-        wanted: Schema = {"name": {"const": part.name}, "dtype": {"const": part.dtype}, "codec": {"const": part.codec}}
+        # Without room in shared memory the message has the part itself.
+        codec = {"enum": ["shared", "none"]} if part.codec == "shared" else {"const": part.codec}
+        wanted: Schema = {"name": {"const": part.name}, "dtype": {"const": part.dtype}, "codec": codec}
         wanted |= {"media": {"const": part.media}} if part.media else {}
         keys = [*wanted, "shape", *(("scale", "offset") if part.codec == "blosc2" else ())]
         if part.required:
@@ -175,7 +178,7 @@ def _schema(kind: Any, definitions: Schema) -> Schema:
     if definitions.get("Part", {}).get("title") == "Part":
         properties = definitions["Part"]["properties"]
         properties["dtype"] = {"enum": list(wire.DTYPES)}
-        properties["codec"] = {"enum": list(codecs.CODECS)}
+        properties["codec"] = {"enum": list(wire.CODECS)}
     return dict(schema)
 
 

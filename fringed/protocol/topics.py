@@ -61,6 +61,7 @@ class Topic:
     Args:
         kind: of its header; header: its type; parts: in any order; data, stats: types of these members, if any.
         retained: sent to each new subscriber at once.
+        local: only a program on the daemon's machine can use it.
     """
 
     name: str
@@ -72,6 +73,7 @@ class Topic:
     data: type[Struct] | None = None
     stats: type[Struct] | None = None
     retained: bool = False
+    local: bool = False
 
 
 def _file(name: str, media: str, text: str) -> Part:
@@ -107,6 +109,20 @@ TOPICS = (
             *_OPTIONAL,
         ),
         stats=CloudStats,
+    ),
+    Topic(
+        "cloud/shared/NAMES/", "cloud", "each cloud", "The clouds of cloud/parts/NAMES/, or, as cloud/shared/full/, "
+        "those of cloud/full, in the daemon's memory; see [shared memory](#shared-memory).", CloudHeader,
+        (
+            Part("xyz", "<f4", "height, width, 3", "as in cloud/full", "shared"),
+            *(
+                Part(part.name, part.dtype, part.shape, "as in cloud/full", "shared", required=False)
+                for part in (
+                    Part("gray", "|u1", "height, width", ""), Part("sigma", "<f4", "height, width", ""), *_OPTIONAL
+                )
+            ),
+        ),
+        stats=CloudStats, local=True,
     ),
     Topic(
         "cloud/depth", "cloud", "each cloud", "Depth for slow networks: xyz = z * (rx, ry, 1) with meta/rays of the "
@@ -145,10 +161,14 @@ TOPICS = (
     ),
 )  # fmt: skip
 
-_BY_PARTS = "cloud/parts/"
+RECORDED = tuple(topic for topic in TOPICS if not topic.local)
+"""Topics whose messages mean the same on every machine, as recorded ones must."""
+
+_CHOSEN = {"cloud/parts/": "cloud/parts/NAMES/", "cloud/shared/": "cloud/shared/NAMES/"}
 
 
 def topic_of(name: str) -> Topic:
-    """Return the row of a topic, that of ``cloud/parts/NAMES/`` for every choice of parts; KeyError for another one."""
+    """Return the row of a topic, the same for every choice of parts; KeyError for another one."""
     rows = {topic.name: topic for topic in TOPICS}
-    return rows["cloud/parts/NAMES/"] if name.startswith(_BY_PARTS) else rows[name]
+    chosen = next((row for beginning, row in _CHOSEN.items() if name.startswith(beginning)), name)
+    return rows[chosen]

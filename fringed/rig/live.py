@@ -64,8 +64,13 @@ class Rig(Source):
         given = None if stream is None else checked_endpoint(stream, name="stream")
         self._client = ControlClient(self.address, timeout_s=timeout_s, keys=self._keys, retry_refused=False)
         try:
+            hello = self._client.call("hello") if given is None or given.startswith("ipc://") else {}
             #: Address of the stream.
-            self.stream: str = self._checked_stream([given]) if given is not None else self._found_stream()
+            self.stream: str = self._checked_stream([given] if given is not None else self._offered(hello))
+            # A daemon of an earlier version has no such topics; an address that it does not name is another daemon's.
+            self._shared = (
+                self.stream.startswith("ipc://") and self.stream in hello["stream"] and bool(hello.get("shared"))
+            )
         except BaseException:
             self.close()
             raise
@@ -81,9 +86,10 @@ class Rig(Source):
         latest: bool = True,
         timeout_s: float | None = TIMEOUT_S,
     ) -> CloudStream:
-        """Subscribe to the clouds, see :meth:`Source.clouds`."""
+        """Subscribe to the clouds, see :meth:`Source.clouds`; from shared memory where the daemon offers it."""
         topic = topic if parts is None else topic_of(parts)
-        return CloudStream(self.stream, topic, latest=latest, timeout_s=timeout_s, keys=self._keys)
+        shared = None if self._shared and topic != "cloud/depth" else False
+        return CloudStream(self.stream, topic, latest=latest, timeout_s=timeout_s, keys=self._keys, shared=shared)
 
     def previews(self, *, timeout_s: float | None = TIMEOUT_S) -> PreviewStream:
         """Subscribe to the previews, see :meth:`Source.previews`."""
@@ -97,13 +103,13 @@ class Rig(Source):
         """Disconnect; iterators that were handed out have connections of their own."""
         self._client.close()
 
-    def _found_stream(self) -> str:
-        """Ask the daemon for its stream, and return the first address that accepts this client."""
-        hello = self._client.call("hello")
+    def _offered(self, hello: dict[str, Any]) -> list[str]:
+        """The daemon's addresses for a client like this one."""
         protected = self._keys is not None and not self.address.startswith("ipc://")
-        return self._checked_stream(_reachable(hello.get("remote" if protected else "stream", ()), self.address))
+        return _reachable(hello.get("remote" if protected else "stream", ()), self.address)
 
     def _checked_stream(self, candidates: list[str]) -> str:
+        """The first address that accepts this client."""
         problems = []
         for endpoint in candidates:
             problem = handshake_problem(endpoint, self._keys, kind=zmq.SUB)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,7 @@ from fringed.parts import BASIC
 from pipeline.reconstruct.cloud import Cloud
 
 Frames = list[Any]
+Arrays = dict[str, NDArray[Any]]
 
 _REASON_LENGTH = 300
 _LOG_CHARACTERS = 500  # up to six bytes each as JSON
@@ -43,21 +44,34 @@ def full(origin: Origin, item: CloudItem, parts: Sequence[str] = BASIC) -> Frame
 
     Interpolated points are always marked.
     """
-    available = parts_of_cloud(item.cloud)
+    arrays = parts_of_cloud(item.cloud)
+    return wire.encode(
+        "cloud/full", _cloud_header(origin, item, item.cloud), {name: arrays[name] for name in full_parts(item, parts)}
+    )
+
+
+def full_parts(item: CloudItem, parts: Sequence[str]) -> list[str]:
+    """The parts that ``cloud/full`` has of a cloud."""
     wanted = (*parts, "interpolated") if item.cloud.interpolated is not None else parts
-    arrays = {name: array for name, array in available.items() if name in wanted}
-    return wire.encode("cloud/full", _cloud_header(origin, item, item.cloud), arrays)
+    return [name for name in parts_of_cloud(item.cloud) if name in wanted]
 
 
-def parts(origin: Origin, item: CloudItem, topic: str, names: Sequence[str]) -> Frames | None:
-    """A cloud with the parts that a topic asks for; None if it was made before they were wanted."""
+def parts(
+    origin: Origin, item: CloudItem, topic: str, names: Sequence[str], references: Mapping[str, bytes] | None = None
+) -> Frames | None:
+    """A cloud with the parts that a topic asks for; None if it was made before they were wanted.
+
+    Args:
+        references: to the parts in shared memory, which the message has instead of them.
+    """
     available = parts_of_cloud(item.cloud)
     if any(name not in available for name in names):
         return None
-    return wire.encode(topic, _cloud_header(origin, item, item.cloud), {name: available[name] for name in names})
+    arrays = {name: available[name] for name in names}
+    return wire.encode(topic, _cloud_header(origin, item, item.cloud), arrays, references=references)
 
 
-def parts_of_cloud(cloud: Cloud) -> dict[str, NDArray[Any]]:
+def parts_of_cloud(cloud: Cloud) -> Arrays:
     """The parts that a cloud has, by their names in messages."""
     filled = np.zeros(cloud.gray.shape, np.uint8) if cloud.interpolated is None else cloud.interpolated
     arrays: dict[str, NDArray[Any] | None] = {

@@ -13,7 +13,6 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import Any
 
 import zmq
@@ -24,12 +23,14 @@ from daemon.common.heartbeat import Heartbeat
 from daemon.config.rig_config import RigConfig
 from daemon.live.items import CloudItem, Item
 from daemon.live.publishing import messages
+from daemon.live.publishing.cloud_topics import CloudTopics
 from daemon.live.publishing.endpoints import bind_all, remove_files
 from daemon.live.publishing.log_handler import StreamHandler
 from daemon.live.publishing.messages import Frames, Origin
+from daemon.live.publishing.shared_clouds import SharedClouds
 from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
-from fringed.parts import BASIC, parts_of
+from fringed.parts import BASIC
 from pipeline.rig.calibration import Calibration
 
 log = logging.getLogger("fringed.stream")
@@ -55,6 +56,7 @@ class Publisher:
         config: of the rig, plain values.
         preview_hz: previews per second, at most 10; 0 = none.
         parts: of ``cloud/full``.
+        shared_bytes: limit of the memory for subscribers on this machine; 0 = none.
 
     Raises:
         DaemonError: an endpoint that cannot be bound.
@@ -72,6 +74,7 @@ class Publisher:
         config: dict[str, Any],
         preview_hz: float = 2.0,
         parts: Sequence[str] = BASIC,
+        shared_bytes: int = 1 << 28,
         clock: Clock | None = None,
     ) -> None:
         self._clock = clock or SystemClock()
@@ -92,7 +95,7 @@ class Publisher:
         self._status: dict[str, Any] | None = None
         self._lines: deque[tuple[int, str, str, str]] = deque(maxlen=_LOG_QUEUE)
         self._prefixes: set[bytes] = set()
-        self._full_parts, self._parts_topics = tuple(parts), dict[str, tuple[str, ...]]()
+        self._full_parts = tuple(parts)
         self._sent, self._dropped = Counters(), 0
         self._latency_ms = Percentiles()
         self._line_count = self._status_count = 0
@@ -111,6 +114,9 @@ class Publisher:
         except BaseException:
             self._release()
             raise
+        shared = SharedClouds(self.endpoints, limit_bytes=shared_bytes)
+        self._shared = shared.available
+        self._topics = CloudTopics(shared)
         self._handler = StreamHandler(self._publish_line)
         logging.getLogger("fringed").addHandler(self._handler)
         self._thread = threading.Thread(target=self._run, name="stream", daemon=True)
@@ -166,7 +172,7 @@ class Publisher:
 
     def wanted_parts(self) -> frozenset[str]:
         """Parts that subscribers ask for by topic."""
-        return frozenset(name for parts in self._parts_topics.values() for name in parts)
+        return self._topics.wanted_parts()
 
     def status(self) -> dict[str, Any]:
         """Endpoints, messages sent by topic, clouds replaced by newer ones before they were sent.
@@ -175,12 +181,14 @@ class Publisher:
         """
         values: dict[str, Any] = {
             "endpoints": self.endpoints,
+            "shared": self._shared,
             "sent": self._sent.snapshot(),
             "dropped": self._dropped,
             "latency_ms": self._latency_ms.summary(),
             "topics": sorted(prefix.decode(errors="replace") for prefix in tuple(self._prefixes)),
         }
         problems = [f"{topic}: {text}" for topic, text in dict(self._problems).items()]
+        problems += [f"cloud/shared: {text}" for text in (self._topics.problem,) if text]
         return values | ({"problem": "; ".join(problems)} if problems else {})
 
     def close(self) -> None:
@@ -223,6 +231,7 @@ class Publisher:
             self.heartbeat.rest()
             with self._lock:
                 self._closing = True
+                self._topics.close()
                 self._release()
 
     def _release(self) -> None:
@@ -240,11 +249,6 @@ class Publisher:
         for topic in sorted(requested):
             self._send(topic, self._retained[topic])
 
-    def _note_parts(self) -> None:
-        """Note the topics that ask for parts; a new mapping, because the pipeline's thread reads it."""
-        topics = (prefix.decode("ascii", "replace") for prefix in sorted(self._prefixes))
-        self._parts_topics = {topic: parts for topic in topics if (parts := parts_of(topic)) is not None}
-
     def _next_subscription(self) -> bytes | None:
         """The prefix of a new subscription (one without any topic for other messages), None when nothing waits."""
         try:
@@ -254,10 +258,10 @@ class Publisher:
         prefix = message[1:]
         if message[:1] == b"\0":
             self._prefixes.discard(prefix)
-            self._note_parts()
+            self._topics.note(self._prefixes)
         elif message[:1] == b"\1" and len(prefix) <= _MAX_PREFIX_BYTES and len(self._prefixes) < _MAX_PREFIXES:
             self._prefixes.add(prefix)
-            self._note_parts()
+            self._topics.note(self._prefixes)
             return prefix
         return b"\xff"
 
@@ -284,13 +288,7 @@ class Publisher:
 
     def _send_cloud(self, item: CloudItem, origin: Origin) -> None:
         sent = False
-        makers: dict[str, Callable[[], Frames | None]] = {
-            "cloud/full": lambda: messages.full(origin, item, self._full_parts),
-            "cloud/depth": lambda: messages.depth(origin, item),
-        }
-        for topic, names in self._parts_topics.items():
-            makers[topic] = partial(messages.parts, origin, item, topic, names)
-        for topic, make in makers.items():
+        for topic, make in self._topics.makers(origin, item, self._full_parts).items():
             if self._send_if_subscribed(topic, make) and not sent:
                 sent = True
                 self._latency_ms.note((self._clock.realtime_ns() - item.t_arrived_ns) / 1e6)

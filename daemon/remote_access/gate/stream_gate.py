@@ -14,6 +14,7 @@ from fringed.keys import Key
 _MAX_PREFIX_BYTES = 64
 _QUEUE = 8  # messages, up to 14 MB each: the four meta messages beside clouds
 _AT_ONCE = 64
+_LOCAL = b"cloud/shared/"  # refers to memory of this machine
 _LATEST_ONLY = frozenset({b"preview", b"status"})
 """Topics of which only the newest waiting message is sent; those of clouds too."""
 
@@ -75,7 +76,8 @@ class StreamGate:
                 frames = self.public.socket.recv_multipart(zmq.NOBLOCK)
             except zmq.Again:
                 return
-            if len(frames) == 1 and frames[0][:1] in (b"\0", b"\1") and len(frames[0]) <= 1 + _MAX_PREFIX_BYTES:
+            valid = len(frames) == 1 and frames[0][:1] in (b"\0", b"\1") and len(frames[0]) <= 1 + _MAX_PREFIX_BYTES
+            if valid and not frames[0][1:].startswith(_LOCAL):
                 self.source.send(frames[0])
             else:
                 self._refused.add("stream_request")

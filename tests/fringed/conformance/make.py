@@ -11,7 +11,7 @@ import shutil
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,9 @@ import fringed.conformance
 from fringed import wire
 from fringed.conformance.recorded import Frames, decoded, pack
 from fringed.errors import WireError
+from fringed.parts import shared_topic
 from fringed.parts import topic_of as topic_with
-from fringed.protocol.topics import TOPICS, topic_of
+from fringed.protocol.topics import RECORDED, Topic, topic_of
 from tests import kernels
 from tests.daemon.whole_daemon import RIG, measuring
 
@@ -66,13 +67,13 @@ def main() -> None:
         (STREAMS / f"{name}.json").write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
 
 
-def record_stream(endpoint: str, control: str) -> list[Frames]:
+def record_stream(endpoint: str, control: str, topics: Sequence[Topic] = RECORDED) -> list[Frames]:
     """Every retained message, two clouds with their depth, a preview, two status messages and a log line."""
-    wanted = {topic.name: 1 for topic in TOPICS} | {"cloud/full": 2, "cloud/depth": 2, "status": 2}
+    wanted = {topic.name: 1 for topic in topics} | {"cloud/full": 2, "cloud/depth": 2, "status": 2}
     got: dict[str, list[Frames]] = defaultdict(list)
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.connect(endpoint)
-        for prefix in ("", BY_PARTS):
+        for prefix in ("", BY_PARTS, shared_topic(BY_PARTS)):
             socket.subscribe(prefix)
         end_s = time.monotonic() + 60
         while any(len(got[topic]) < count for topic, count in wanted.items()):
@@ -81,12 +82,12 @@ def record_stream(endpoint: str, control: str) -> list[Frames]:
             topic = topic_of(frames[0].decode()).name
             if topic == "cloud/depth" and not any(number(frames) == number(other) for other in got["cloud/full"]):
                 continue
-            if len(got[topic]) < wanted[topic]:
+            if len(got[topic]) < wanted.get(topic, 0):
                 got[topic].append(frames)
             if not got["log"]:
                 for value in (1800, 2000):
                     call(control, "set", {"path": "pairing.tolerance_us", "value": value}, 1)
-    return [frames for topic in TOPICS for frames in got[topic.name]]
+    return [frames for topic in topics for frames in got[topic.name]]
 
 
 def record_control(control: str) -> list[dict[str, Any]]:
