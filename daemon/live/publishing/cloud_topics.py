@@ -20,7 +20,7 @@ Makers = dict[str, Callable[[], Frames | None]]
 
 
 class CloudTopics:
-    """Topics of clouds that somebody has subscribed to; a message is made when its maker is called.
+    """Topics of clouds that have subscribers; a message is made when its maker is called.
 
     Args:
         shared: memory for subscribers on this machine.

@@ -52,6 +52,14 @@ def test_parts_are_named_by_the_subscriber(rig: Rig) -> None:
         rig.clouds(parts=("xyz", "color"))
 
 
+def test_clouds_on_this_machine_come_from_shared_memory_and_compressed_ones_through_the_socket(rig: Rig) -> None:
+    assert rig.hello().shared and rig.stream.startswith("ipc://")
+    with rig.clouds(timeout_s=60) as local:
+        assert {part.codec for part in next(local).header.parts} == {"shared"}
+    with rig.clouds(topic="cloud/depth", timeout_s=60) as light:
+        assert {part.codec for part in next(light).header.parts} == {"blosc2"}
+
+
 def test_clouds_and_previews_come_in_an_event_loop(rig: Rig) -> None:
     async def receive() -> tuple[list[int], bytes]:
         async with rig.clouds(latest=False, timeout_s=60) as clouds:

@@ -129,7 +129,7 @@ def test_a_reader_never_gets_a_mixture_of_two_clouds(ring: SharedClouds) -> None
     assert whole and refused
 
 
-def test_what_was_overwritten_is_an_error_that_says_so(ring: SharedClouds) -> None:
+def test_what_was_overwritten_is_an_error(ring: SharedClouds) -> None:
     memory = SharedMemory()
     stored = [ring.store({"xyz": np.full(10, seq, np.uint8)})["xyz"] for seq in range(MOST_SLOTS + 2)]
     for seq, reference in enumerate(stored):
@@ -158,7 +158,9 @@ def test_a_subscriber_of_every_cloud_counts_what_was_overwritten_as_lost(endpoin
         assert stream.lost == count - MOST_SLOTS
 
 
-def test_without_room_clouds_come_through_the_socket_and_the_status_says_why(endpoint: str, tmp_path: Path) -> None:
+def test_without_room_clouds_come_through_the_socket_and_the_status_has_the_reason(
+    endpoint: str, tmp_path: Path
+) -> None:
     with (
         clouds.publisher(endpoint, shared_bytes=4096) as made,
         subscribe(endpoint, timeout_s=WAIT_S, shared=True) as stream,
