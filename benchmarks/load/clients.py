@@ -18,9 +18,11 @@ from typing import Self
 
 import zmq
 
-from fringed.client import subscribe
+from fringed import wire
+from fringed.errors import OverwrittenError
 from fringed.parts import shared_topic
 from fringed.receiver import Receiver
+from fringed.shared_memory import SharedMemory
 
 _POLL_S, _SLOW_S = 1.0, 0.5
 
@@ -40,9 +42,9 @@ def slow(endpoint: str, shared: bool = False) -> None:
     _read(endpoint, "cloud/full", shared=shared, pause_s=_SLOW_S)
 
 
-def silent(endpoint: str, shared: bool = False) -> None:
+def silent(endpoint: str) -> None:
     """Subscribe to whole clouds and never receive one."""
-    with _Subscribed(endpoint, shared_topic("cloud/full") if shared else "cloud/full"):
+    with _Subscribed(endpoint):
         while True:
             time.sleep(3600)
 
@@ -63,7 +65,7 @@ def poller(endpoint: str) -> None:
 KINDS: dict[str, Callable[..., None]] = {
     "full": full, "light": light, "slow": slow, "silent": silent, "stopped": full, "poller": poller,
 }  # fmt: skip
-_SHARING = ("full", "slow", "silent", "stopped")
+_SHARING = ("full", "slow", "stopped")
 
 
 class LoadClients:
@@ -106,11 +108,11 @@ class LoadClients:
 class _Subscribed:
     """A subscriber of whole clouds that has its first connection and never reads."""
 
-    def __init__(self, endpoint: str, topic: str) -> None:
+    def __init__(self, endpoint: str) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._socket.setsockopt(zmq.RCVHWM, 2)
-        self._socket.subscribe(topic)
+        self._socket.subscribe("cloud/full")
         self._socket.connect(endpoint)
 
     def __enter__(self) -> None:
@@ -122,20 +124,19 @@ class _Subscribed:
 
 
 def _read(endpoint: str, topic: str, *, shared: bool = False, pause_s: float = 0.0) -> None:
-    if shared:
-        with subscribe(endpoint, topic=topic, shared=True) as clouds:
-            for number, _ in enumerate(clouds):
-                if number == 0:
-                    _report_connected()
-                time.sleep(pause_s)
-    receiver, reported = Receiver(endpoint, [topic], queue=2), False
+    memory = SharedMemory()
+    receiver, reported = Receiver(endpoint, [shared_topic(topic) if shared else topic], queue=2), False
     while True:
         if receiver.poll(1.0) and (frames := receiver.take()) is not None:
             if not reported:
                 _report_connected()
                 reported = True
-            for frame in frames:
-                memoryview(frame)[::4096].tobytes()  # touched, as a reader that uses it would
+            if shared:
+                with suppress(OverwrittenError):
+                    wire.decode(frames, memory=memory)
+            else:
+                for frame in frames:
+                    memoryview(frame)[::4096].tobytes()  # touched, as a reader that uses it would
             time.sleep(pause_s)
 
 
@@ -148,4 +149,4 @@ if __name__ == "__main__":
     os.nice(19)
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     kind, endpoint, *shared = sys.argv[1:]
-    KINDS[kind](endpoint, *[True for _ in shared])
+    KINDS[kind](endpoint, **({"shared": True} if shared else {}))

@@ -94,7 +94,7 @@ class Methods:
             "device": service.config.device.name,
             "session": service.session,
             "stream": _of_sink(service, "stream", "endpoints") or list(service.config.stream.endpoints),
-            "remote": _of_sink(service, "remote", "stream"),
+            "remote": _of_sink(service, "remote", "stream") or [],
             "shared": bool(_of_sink(service, "stream", "shared")),
             "rig": None if self._path is None else str(self._path.absolute()),
             "methods": sorted(self.table()),
@@ -205,11 +205,10 @@ class Methods:
         return {"state": str(self._service.state()[0])}
 
 
-def _of_sink(service: Service, sink: str, key: str) -> list[str]:
-    """Return a value of a sink's status, such as the addresses that it is bound to, with their real ports."""
+def _of_sink(service: Service, sink: str, key: str) -> Any:
+    """Return a value of a sink's status, such as its addresses with their real ports; None without the sink."""
     made = service.router.sinks.get(sink)
-    value: list[str] = [] if made is None else made.status().get(key, [])
-    return value
+    return None if made is None else made.status().get(key)
 
 
 def _current(path: str) -> str:

@@ -68,7 +68,9 @@ class CloudTopics:
 
     def _stored(self, item: CloudItem, names: Collection[str]) -> dict[str, bytes] | None:
         """References to the parts; None, and a warning, where there is no memory: the message then has them itself."""
-        if not self._shared.available or self._wait > 0:
+        if not self._shared.available:
+            return None
+        if self._wait > 0:
             self._wait -= 1
             return None
         arrays = messages.parts_of_cloud(item.cloud)

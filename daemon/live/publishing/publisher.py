@@ -111,10 +111,10 @@ class Publisher:
         self.endpoints: list[str] = []
         try:
             self.endpoints = bind_all(self._socket, endpoints)
+            shared = SharedClouds(self.endpoints, limit_bytes=shared_bytes)
         except BaseException:
             self._release()
             raise
-        shared = SharedClouds(self.endpoints, limit_bytes=shared_bytes)
         self._shared = shared.available
         self._topics = CloudTopics(shared)
         self._handler = StreamHandler(self._publish_line)

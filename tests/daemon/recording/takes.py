@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from daemon.live.items import Pair, UnpairedFrame
+from daemon.recording.read.take_reader import TakePair, TakeReader
 from daemon.recording.write.take_writer import TakeWriter
 from drivers.protocols import Frame, Side
 
@@ -53,3 +54,9 @@ def write(path: Path, items: list[Any], **options: Any) -> dict[str, Any]:
         assert recorder.offer(item)
     recorder.close()
     return recorder.status()
+
+
+def pairs_of(path: Path) -> list[TakePair]:
+    """Every pair of a take."""
+    with TakeReader(path) as take:
+        return list(take.pairs())

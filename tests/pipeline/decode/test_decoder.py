@@ -7,54 +7,27 @@ import pytest
 
 from pipeline.common.settings import Settings
 from pipeline.decode.decoder import Decoder
-from pipeline.decode.kernels.color_gains import CHANGE, LAG, MILD, STRONG, limits_of
-from pipeline.decode.kernels.local_mean import SHARED, BoxMean
+from pipeline.decode.kernels.color_gains import limits_of
+from pipeline.decode.kernels.local_mean import BoxMean
 from pipeline.decode.noise_model import estimate
 from pipeline.decode.packed_phasor import PHASOR_SCALE, unpacked
-from pipeline.decode.raw_image import BAYER, mosaic_of
-from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.decode.raw_image import BAYER
 from pipeline.rig.calibration import ColorModel
+from tests.pipeline.decode.images import (
+    COLOR,
+    INNER,
+    SHIFTS,
+    decoder,
+    hard_image,
+    image,
+    levels_of,
+    light,
+    mosaic,
+    normalised_of,
+    smooth_phase,
+    wrapped,
+)
 from tests.pipeline.rigs import CROSSTALK
-
-SHIFTS = ColorFringe().shifts
-ROUNDED = 0.75
-"""Units by which rounding both parts may move a phasor: half the diagonal of a unit, and a little."""
-COLOR = ColorModel(np.array([3.0, 2.0, 4.0]), CROSSTALK)
-
-
-def wrapped(a):
-    return np.angle(np.exp(1j * a))
-
-
-def smooth_phase(shape=(120, 160), period=11.0):
-    v, u = np.mgrid[0 : shape[0], 0 : shape[1]].astype(float)
-    return 2 * np.pi / period * u + 0.4 * np.sin(v / 25) + 0.3 * np.sin(u / 30)
-
-
-def light(phase, albedo=1.0, ambient=20.0, mean=80.0, amplitude=70.0):
-    waves = mean + amplitude * np.cos(phase[..., None] + np.array(SHIFTS))
-    return np.asarray(albedo)[..., None] * (waves + ambient) if np.ndim(albedo) else albedo * (waves + ambient)
-
-
-def image(phase, noise=0.0, seed=0, color=COLOR, **kwargs):
-    counts = light(phase, **kwargs) @ color.crosstalk.T + color.black
-    counts = counts + noise * np.random.default_rng(seed).standard_normal(counts.shape)
-    return np.clip(np.rint(counts), 0, 255).astype(np.uint8)
-
-
-def mosaic(rgb, encoding):
-    v, u = np.mgrid[0 : rgb.shape[0], 0 : rgb.shape[1]]
-    channel = np.array(BAYER[encoding])[v & 1, u & 1]
-    return np.ascontiguousarray(np.take_along_axis(rgb, channel[..., None], axis=2)[..., 0])
-
-
-def decoder(encoding="rgb8", color=COLOR, **settings):
-    return Decoder(
-        color, SHIFTS, mosaic=mosaic_of(encoding), slopes=(2 * np.pi / 11, 0.0), settings=Settings(**settings)
-    )
-
-
-INNER = (slice(8, -8), slice(16, -16))
 
 
 @pytest.mark.parametrize("radius", [0, 1, 2])
@@ -216,124 +189,6 @@ def test_noise_is_estimated_from_the_image_alone(encoding):
         assert 0.85 < np.sqrt(model.floor + model.gain * level) / truth < 1.15
 
 
-PLANES = ("phasor", "descriptors", "mean", "variance", "phase", "phase_normalised", "modulation", "valid")
-
-
-def hard_image(shape=(90, 131), seed=3):
-    """Fringes with an edge, a dark and a saturated part, and noise."""
-    phase = smooth_phase(shape)
-    phase[shape[0] // 2 :, 40:70] += 2.0
-    albedo = np.full(shape, 0.9)
-    albedo[10:30, 20:60] = 0.0
-    albedo[50:80, 80:] = 1.9
-    return image(phase, noise=1.0, seed=seed, albedo=albedo)
-
-
-def levels_of(raw):
-    return raw.astype(float) - COLOR.black
-
-
-def phasors_rows(crosstalk=None):
-    shifts = np.array(SHIFTS)
-    light_of = np.stack([np.ones(3), np.cos(shifts), -np.sin(shifts)], axis=1)
-    return np.linalg.inv((np.eye(3) if crosstalk is None else crosstalk) @ light_of)
-
-
-def phasors_of(levels, crosstalk=CROSSTALK):
-    solution = levels @ phasors_rows(crosstalk).T
-    return solution[..., 1] + 1j * solution[..., 2], np.maximum(solution[..., 0], 0)
-
-
-def local_means_of(channels):
-    means = channels
-    for _ in range(2):
-        means = cv2.blur(means, (11, 5), borderType=cv2.BORDER_REFLECT)
-    # Rows share the means of the multiple of three next to them; beyond the image is its mirror image.
-    rows = SHARED * ((np.arange(len(means)) + 1) // SHARED)
-    return np.maximum(means[np.where(rows < len(means), rows, 2 * len(means) - 1 - rows)], 1)
-
-
-def normalised_of(levels):
-    channels = levels @ np.linalg.inv(CROSSTALK).T
-    return phasors_of(channels / local_means_of(channels), np.eye(3))[0]
-
-
-def gains_of(channels):
-    means = local_means_of(channels)
-    size = abs(means @ np.exp(1j * np.array(SHIFTS))) / (means.sum(axis=2) / 2)
-    share = np.clip((size**2 - MILD**2) / (STRONG**2 - MILD**2), 0, 1)[..., None]
-    return 1 + share * (means.mean(axis=2, keepdims=True) / means - 1)
-
-
-def neighbours(a, axis):
-    return np.roll(a, 1, axis), np.roll(a, -1, axis)
-
-
-def folded(sums, unit, axis, nominal, weight):
-    """One direction of the window fit in whole planes; the border row or column is wrong."""
-    back, ahead = neighbours(unit, axis)
-    f, b = ahead * unit.conj(), unit * back.conj()
-    agreement = (f * b.conj()).real
-    forward = (f * np.conj(nominal)).real >= (b * np.conj(nominal)).real
-    step = np.where(agreement > 0.85, (f + b) / np.maximum(abs(f + b), 1e-3), np.where(forward, f, b))
-    both = agreement >= 0.1
-    use_back, use_ahead = weight * (both | ~forward), weight * (both | forward)
-    out = []
-    for a, turn, power in zip(sums, (1, step, 1, 1), (1, 1, 1, 2), strict=True):
-        before, after = neighbours(a, axis)
-        out.append(a + use_back**power * before * turn + use_ahead**power * after * np.conj(turn))
-    return out
-
-
-@pytest.mark.parametrize("radius", [0, 1])
-def test_the_three_chip_decoder_does_what_whole_planes_in_double_precision_do(radius):
-    raw = hard_image()
-    levels = levels_of(raw)
-    unmixed = levels @ np.linalg.inv(CROSSTALK).T
-    gains = gains_of(unmixed)
-    phasor, mean = phasors_of(unmixed * gains, np.eye(3))
-    unit = phasor / np.maximum(abs(phasor), 1e-6)
-    clear = (raw < 254).all(axis=2)
-    solution = phasors_rows()
-    tangent = (solution[2] * unit.real[..., None] - solution[1] * unit.imag[..., None]) * gains
-    spread = ((tangent @ np.linalg.inv(CROSSTALK)) ** 2 * (4.0 + 0.1 * np.maximum(levels, 0))).sum(axis=2)
-    change = np.zeros(gains.shape)
-    change[:, LAG:-LAG] = (gains[:, 2 * LAG :] - gains[:, : -2 * LAG]) / gains[:, LAG:-LAG]
-    spread += CHANGE * (change**2).sum(axis=2) * abs(phasor) ** 2
-    sums = [clear * 1.0, clear * phasor, clear * mean, clear * spread]
-    weight = np.exp(-0.5) if radius else 0.0
-    for axis, nominal in ((1, np.exp(2j * np.pi / 11)), (0, 1.0)):
-        sums = folded(sums, unit, axis, nominal, weight)
-    found = decoder(window_radius=radius, read_noise=2.0, noise_gain=0.1).decode(raw)
-    inner = np.zeros(clear.shape, bool)
-    inner[1:-1, 1:-1] = True
-    here = clear & inner & (abs(phasor) > 1)
-    w, c, a, v = (s[here] for s in sums)
-    plain = ((gains == 1) & (change == 0)).all(axis=2).astype(np.uint8)
-    plain = cv2.erode(plain, np.ones((3, 3)))[here] != 0
-    assert 0.9 < plain.mean() < 1
-
-    # A sample in a thousand lies on the border of a decision, where rounding decides. Gains are those of rounded means.
-    def agree(x, y, tolerance):
-        different = abs(x - y)
-        assert np.mean(different[plain] > tolerance) < 1e-3
-        assert np.mean(different[~plain] > max(20 * tolerance, 0.02)) < 0.05
-
-    phasors = unpacked(found.phasor, PHASOR_SCALE)
-    agree(phasors[here], c / w, 1e-2)
-    agree(wrapped(found.phase[here] - np.angle(c)), 0, 1e-4)
-    agree(found.mean[here], np.minimum(a / w, 255), 0.51)
-    agree(found.variance[here] * abs(c) ** 2 / v, 1, 1e-3)
-    agree(found.modulation[here], np.minimum(abs(c / w), 255), 1.01)
-    clearly = here & (abs(abs(phasors) - 5) > ROUNDED / PHASOR_SCALE)
-    assert np.array_equal(found.valid[clearly], ((abs(phasors) >= 5) & (found.variance < 1))[clearly])
-    assert (np.abs(wrapped(found.phase - np.angle(phasors))) * abs(phasors))[here].max() < ROUNDED / PHASOR_SCALE
-    assert found.saturated == pytest.approx(1 - clear.mean(), abs=1e-6)
-    assert not found.phasor[~inner].any() and not found.valid[~inner].any()
-    assert np.isinf(found.variance[~inner]).all()
-    assert np.abs(found.mean - np.minimum(mean, 255))[~inner].max() < 0.51
-
-
 @pytest.mark.parametrize("encoding", ["rgb8", *BAYER])
 def test_the_normalised_phase_is_correct_up_to_the_border(encoding):
     rgb = hard_image((72, 94))
@@ -355,6 +210,9 @@ def test_the_normalised_phase_is_correct_up_to_the_border(encoding):
     away = np.abs(wrapped(found.phase_normalised - np.angle(expected)))
     assert (away < np.pi / 2048 + 2e-3 / np.maximum(np.abs(expected), 0.05))[bright & (np.abs(expected) > 0.05)].all()
     assert bright[0].any() and bright[:, 0].any() and bright[-1].any()
+
+
+PLANES = ("phasor", "descriptors", "mean", "variance", "phase", "phase_normalised", "modulation", "valid")
 
 
 @pytest.mark.threads

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.common.jit import serial
 from pipeline.decode import pixel_descriptor
-from tests.pipeline.decode.test_decoder import decoder, hard_image, mosaic, wrapped
+from tests.pipeline.decode.images import decoder, hard_image, mosaic, wrapped
 
 PHASE_ERROR, NORMALISED_ERROR = 1.001 * np.pi / 2**12, 1.001 * np.pi / 2**11
 UNIT = 2 * np.pi / 2**32

@@ -18,7 +18,7 @@ from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, Later
 from sim.evaluate.score import score
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
-from tests.pipeline.decode.test_decoder import COLOR, INNER, SHIFTS, decoder, mosaic, smooth_phase, wrapped
+from tests.pipeline.decode.images import COLOR, INNER, SHIFTS, decoder, mosaic, smooth_phase, wrapped
 from tests.pipeline.rigs import rig
 from tests.pipeline.small import LAYOUT, PERIODS, SETTINGS
 from tests.renders import render_pair
