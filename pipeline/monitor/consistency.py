@@ -223,5 +223,11 @@ def together(one: Reading, two: Reading) -> Reading:
 
 
 def _excess(name: str, reading: Reading, which: int = 1) -> float:
-    """How far a reading is beyond a limit for certain."""
-    return abs(reading.value) - SIGMAS * reading.sigma - LIMITS[name][0][which]
+    """How far a reading is beyond a limit for certain.
+
+    The deviation of a scatter is proportional to the scatter itself. What a rig at the limit would show is decisive, so
+    the deviation is that of the limit; of what was read it would grow with it, and hide a scatter of twice the limit.
+    """
+    value, limit = abs(reading.value), LIMITS[name][0][which]
+    sigma = reading.sigma * min(1.0, limit / value) if name == "column_scatter" and value else reading.sigma
+    return value - SIGMAS * sigma - limit

@@ -188,6 +188,15 @@ def test_a_reading_is_judged_by_its_limits_and_only_when_it_is_certain(name: str
     assert f"limit {inconsistent:g}" in finding
 
 
+@pytest.mark.parametrize("patches", [16, 60])
+def test_a_scatter_is_compared_with_that_of_a_rig_at_the_limit(patches: int):
+    limit = LIMITS["column_scatter"][0][1]
+    largest = limit * (1 + 4 / np.sqrt(2 * patches))
+    for value, verdict in ((0.99 * largest, "doubtful"), (1.01 * largest, "inconsistent")):
+        read = Reading(value, value / np.sqrt(2 * patches))
+        assert judged({"column_offset": Reading(0.0, 0.0), "column_scatter": read}).verdict == verdict
+
+
 def test_a_scan_finds_the_offset_with_the_least_cost_and_its_share_of_unrelated_phases():
     offsets = np.arange(-6.0, 7.0)
     costs = [np.full(500, 0.3, np.float32) for _ in offsets]
