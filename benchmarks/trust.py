@@ -15,6 +15,7 @@ from benchmarks.accuracy import ceiling
 from benchmarks.common.tables import Table
 from benchmarks.reconstruction import rendered
 from benchmarks.reconstruction.cases import HARD, Case, random_case, scaled
+from benchmarks.reconstruction.random_rigs import random_rig
 from sim.evaluate.point_errors import RINGS, PointErrors, Ring, point_errors
 
 _RINGS = tuple(name for name, _, _ in RINGS)
@@ -94,9 +95,12 @@ def main(given: list[str]) -> int:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--case", default="", help="those whose name contains this")
     parser.add_argument("--random", type=int, default=0, help="as many random scenes and rigs instead")
+    parser.add_argument("--rigs", type=int, default=0, help="as many rigs of random design instead")
     parser.add_argument("--ceiling", action="store_true", help="coverage with true fringe orders and without filters")
     options = parser.parse_args(given)
-    every = [random_case(number) for number in range(options.random)] or HARD
+    drawn = [random_case(number) for number in range(options.random)]
+    drawn += [random_rig(number) for number in range(options.rigs)]
+    every = drawn or HARD
     cases = [scaled(case, options.scale) for case in every if options.case in case.name]
     console = Console(width=None if sys.stdout.isatty() else 170)
     if options.ceiling:
