@@ -130,16 +130,9 @@ def random_case(number: int) -> Case:
         lens=rng.uniform(0, 1.5),
     )
     bayer = bool(rng.random() < 0.4)
-    faults = Optics.realistic() if rng.random() < 0.4 else Optics()
-    optics = replace(
-        faults,
-        exposure=float(rng.choice([0.5, 1.0, 1.0, 1.4])),
-        noise=rng.uniform(0.7, 2.0),
-        ambient=rng.uniform(0.01, 0.15),
-        defocus_px=rng.uniform(0.5, 1.5),
-        psf_px=rng.uniform(0.4, 0.8),
-        crosstalk=rng.uniform(0.02, 0.12),
-    )
+    optics = random_optics(
+        rng, realistic=0.4, noise=2.0, ambient=0.15, defocus_px=1.5, psf_px=0.8, crosstalk=0.12
+    )  # fmt: skip
     return Case(
         f"random {number}",
         f"random-{number}",
@@ -148,6 +141,28 @@ def random_case(number: int) -> Case:
         "bayer_rggb8" if bayer else "rgb8",
         modulated=bool(abs(fraction - 0.5) < 0.03 and rng.random() < 0.5),
         periods=float(rng.choice([64.0, 80.0, 96.0, 112.0])),
+    )
+
+
+def random_optics(
+    rng: np.random.Generator, *, realistic: float, noise: float, ambient: float, defocus_px: float, psf_px: float,
+    crosstalk: float,
+) -> Optics:  # fmt: skip
+    """Random faults of light and sensors.
+
+    Args:
+        realistic: probability of a rig that was calibrated with ordinary care only.
+        noise, ambient, defocus_px, psf_px, crosstalk: the largest value of each.
+    """
+    faults = Optics.realistic() if rng.random() < realistic else Optics()
+    return replace(
+        faults,
+        exposure=float(rng.choice([0.5, 1.0, 1.0, 1.4])),
+        noise=rng.uniform(0.7, noise),
+        ambient=rng.uniform(0.01, ambient),
+        defocus_px=rng.uniform(0.5, defocus_px),
+        psf_px=rng.uniform(0.4, psf_px),
+        crosstalk=rng.uniform(0.02, crosstalk),
     )
 
 
