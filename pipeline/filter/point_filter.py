@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.common.connected_components import Surfaces
 from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
 from pipeline.filter.border.border_figures import Planes
@@ -19,9 +20,8 @@ from pipeline.filter.border.surface_edges import edge_test
 from pipeline.filter.local_outliers import MOST_MEAN, ROWS, drop_mixed_edges, local_outliers, usual_mean
 from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.occlusion.uniqueness import Uniqueness
-from pipeline.filter.surfaces import connected_components
+from pipeline.filter.surfaces import surface_links
 from pipeline.filter.surfaces.component_test import component_test
-from pipeline.filter.surfaces.connected_components import Surfaces
 from pipeline.filter.surfaces.small_surfaces import reject_contradicted, reject_eroded, reject_narrow
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
 from pipeline.geometry.ray_tables import DepthScale
@@ -98,7 +98,7 @@ class Gates:
         limit, largest = _steps(s.outlier_phase_threshold), _steps(s.reflection_threshold)
         far = max(_steps(LARGEST_MEAN_RAD), min(TIMES_USUAL * usual_mean(match), MOST_MEAN))
         local_outliers(bands, match.valid, match.residual_normalised, match.residual, limit, largest, far, valid)
-        connected_components.links(
+        surface_links.links(
             len(valid),
             match.absolute_phase,
             match.right_u.view(np.int16),

@@ -224,6 +224,7 @@ class Reconstructor:
         right_orders = right_search.search(right, left, self.correction, use_prior=use_prior)
         watch.lap("orders")
         cross_check(self.left, left, left_orders, self.right, right, right_orders, self.correction, self._kept)
+        left_search.reject_unseen(left, right, self.correction, self.right, self._kept)
         if self._repeats:
             left_search.reject_contradicted(left, right, self.correction, self.right, self._kept)
         propagate(self.left, left, self._kept, self._order)

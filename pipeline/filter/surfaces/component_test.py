@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.common.connected_components import Surfaces
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 from pipeline.filter.occlusion.uniqueness import PARTS
-from pipeline.filter.surfaces.connected_components import Surfaces
 from pipeline.filter.texture_agreement import AMPLITUDE_SHARE, DEVIATION_STEPS, LOSS, Scale
 from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.common.connected_components import Surfaces
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 from pipeline.filter.occlusion.uniqueness import PARTS
 from pipeline.filter.surfaces.component_test import reject_surfaces
-from pipeline.filter.surfaces.connected_components import Surfaces
 
 LARGEST_LOSS, RELIABLE = 0.18, 8
 """Share of its points that a small surface may lose at its border; times the smallest size, that of a large one."""

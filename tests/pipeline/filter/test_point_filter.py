@@ -8,14 +8,14 @@ import numba
 import numpy as np
 import pytest
 
+from pipeline.common.connected_components import LEFT, UP, Surfaces
 from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
 from pipeline.filter.local_outliers import RADIUS, ROWS, drop_mixed_edges, local_outliers
 from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.occlusion.uniqueness import Uniqueness
 from pipeline.filter.point_filter import Gates
-from pipeline.filter.surfaces import connected_components
-from pipeline.filter.surfaces.connected_components import Surfaces
+from pipeline.filter.surfaces import surface_links
 from pipeline.filter.texture_agreement import Agreement, Scale
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, TURN_STEPS, MatchResult, Points
@@ -110,9 +110,9 @@ def test_links_follow_the_expected_steps_and_the_phase_may_wrap_around() -> None
     absolute_phase[:, 7:] += TURN_STEPS
     u[1, :] += 2 * PIXEL_STEPS
     out = np.full((2, 10), 9, np.uint8)
-    connected_components.links(len(u), absolute_phase, u, v, 24, 0, out)
-    assert (out[0, 1:] == connected_components.LEFT).tolist() == [True] * 6 + [False] + [True] * 2
-    assert not (out[1] & connected_components.UP).any()
+    surface_links.links(len(u), absolute_phase, u, v, 24, 0, out)
+    assert (out[0, 1:] == LEFT).tolist() == [True] * 6 + [False] + [True] * 2
+    assert not (out[1] & UP).any()
 
 
 @pytest.mark.parametrize(("by_depth", "seed"), [(False, 4), (True, 5), (False, 6)])

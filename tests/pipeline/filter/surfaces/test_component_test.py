@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.common.connected_components import Surfaces
 from pipeline.filter.point_filter import phase_weight
-from pipeline.filter.surfaces import connected_components
+from pipeline.filter.surfaces import surface_links
 from pipeline.filter.surfaces.component_test import Figures, component_test, log_likelihood_ratio
-from pipeline.filter.surfaces.connected_components import Surfaces
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, Scale
 from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
 
@@ -72,7 +72,7 @@ def _tested(
     match.absolute_phase[:] = np.repeat([0, 5000, 10000], 30)
     match.right_u[:], match.right_v[:] = 8 * np.arange(90), 8 * np.arange(30)[:, None]
     link = np.empty(shape, np.uint8)
-    connected_components.links(
+    surface_links.links(
         len(valid), match.absolute_phase, match.right_u.view(np.int16), match.right_v.view(np.int16), 0, 0, link
     )
     surfaces = Surfaces(shape)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.filter.surfaces.connected_components import Surfaces
+from pipeline.common.connected_components import Surfaces
 from pipeline.filter.surfaces.small_surfaces import (
     LARGEST_LOSS,
     LEAST_WIDTH,

@@ -7,9 +7,10 @@ finds this strip as good as the surface's own pixels. The costs of both distingu
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
@@ -24,6 +25,14 @@ ROWS = 8
 """Lattice rows that share scratch arrays."""
 _TURN = np.float32(2 * np.pi)
 _ZERO, _ONE = np.float32(0), np.float32(1)
+
+
+class Claims(NamedTuple):
+    """Where orders lead in the other image, (h, w) each, see :func:`claims`."""
+
+    place: NDArray[np.int32]
+    value: NDArray[np.float32]
+    cost: NDArray[np.float32]
 
 
 @parallel

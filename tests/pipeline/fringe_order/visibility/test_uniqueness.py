@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.common.stopwatch import Stopwatch
-from pipeline.fringe_order import order_search, uniqueness
+from pipeline.fringe_order import order_search
 from pipeline.fringe_order.semi_global_aggregation import NONE
+from pipeline.fringe_order.visibility import uniqueness
 from pipeline.match.match_result import PIXEL_STEPS
 from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.rig.layout import RigLayout

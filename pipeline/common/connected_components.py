@@ -1,4 +1,4 @@
-"""Connected surfaces: neighbours whose absolute phase and match continue.
+"""Connected surfaces of an image, of pixels that are linked with their left and upper neighbours.
 
 A row's pixels that hang together are one run; runs of adjacent rows are united where at least one pixel of the one is
 linked with the pixel above it. A million pixels give some thousand runs: the pixels are processed by
@@ -7,7 +7,6 @@ vector code over rows, and a union-find runs over the runs.
 
 from __future__ import annotations
 
-from math import pi
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import blocks, parallel
-from pipeline.match.match_result import PIXEL_STEPS, TURN_STEPS
 
 LEFT, UP = np.uint8(1), np.uint8(2)
 """Bits of a link: the pixel continues its left neighbour, the one above it."""
@@ -26,41 +24,6 @@ MOST_SURFACES = 65534
 _START, _CONTACT, _STOP = np.uint8(1), np.uint8(2), np.uint8(4)
 _NO = np.uint8(0)
 _ROWS = 32
-_PHASE_STEP = int(1.2 / (2 * pi) * TURN_STEPS)
-_MATCH_STEP = int(1.5 * PIXEL_STEPS)
-
-
-@serial
-def _continues(
-    a: Any, b: Any, a_u: Any, b_u: Any, a_v: Any, b_v: Any, step: Any, du: int, dv: int, bit: Any, out: Any
-) -> None:  # fmt: skip
-    """Add a bit to ``out`` where row ``a`` goes on from ``b`` by about the expected steps.
-
-    Differences are taken modulo 16 bits; shifted by their limit they are small numbers without sign.
-    """
-    for j in range(out.shape[0]):
-        near = np.uint16(a[j] - b[j] - step + _PHASE_STEP) <= np.uint16(2 * _PHASE_STEP)
-        near &= np.uint16(a_u[j] - b_u[j] - du + _MATCH_STEP) <= np.uint16(2 * _MATCH_STEP)
-        near &= np.uint16(a_v[j] - b_v[j] - dv + _MATCH_STEP) <= np.uint16(2 * _MATCH_STEP)
-        out[j] |= bit if near else _NO
-
-
-@parallel
-def links(i: int, absolute_phase: Any, right_u: Any, right_v: Any, slope_x: int, slope_y: int, out: Any) -> None:
-    """Bits LEFT and UP of every pixel into ``out`` (H, W) uint8; of no meaning beside unknown pixels.
-
-    Args:
-        absolute_phase: (H, W) int16; right_u, right_v: (H, W) int16, pixel in the right image, all in the steps of
-            :mod:`pipeline.match.match_result`, modulo 16 bits.
-        slope_x, slope_y: expected change of the phase per pixel, steps.
-    """
-    width = absolute_phase.shape[1]
-    last = width - 1
-    a, u, v = absolute_phase[i], right_u[i], right_v[i]
-    out[i, :] = _NO
-    _continues(a[1:], a[:last], u[1:], u[:last], v[1:], v[:last], slope_x, PIXEL_STEPS, 0, LEFT, out[i, 1:])
-    if i > 0:
-        _continues(a, absolute_phase[i - 1], u, right_u[i - 1], v, right_v[i - 1], slope_y, 0, PIXEL_STEPS, UP, out[i])
 
 
 @serial
@@ -97,7 +60,7 @@ def find_runs(band: int, valid: Any, link: Any, start: Any, stop: Any, contact: 
     """Runs of every row, and the columns in which they begin to touch runs of the row above.
 
     Args:
-        valid: (H, W) uint8, 0 or 1; link: of :func:`links`.
+        valid: (H, W) uint8, 0 or 1; link: (H, W) uint8, bits LEFT and UP.
         start, stop, contact: (H, W or more) int32, filled from the left of each row.
         count: (2, H) int32, number of runs and of contacts of each row.
     """
