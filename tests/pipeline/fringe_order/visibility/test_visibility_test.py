@@ -112,7 +112,7 @@ def test_nothing_is_asked_without_a_jump() -> None:
 def test_only_the_smaller_of_both_segments_is_rejected() -> None:
     """Where fringes repeat, the continued orders of both cost as little."""
     assert judged(0, 0.1, jumps(30, 30)) == [STRIP]
-    assert judged(0, 0.1, jumps(30, 30), sizes=np.array([150, 200, 400], np.int32)) == []
+    assert judged(0, 0.1, jumps(30, 30), sizes=np.array([150, 200, 400], np.int32)) == [WALL]
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
