@@ -28,6 +28,7 @@ from pipeline.rig.volume import Volume
 
 LIMITS: dict[str, tuple[tuple[float, float], str]] = {
     "column_offset": ((0.012, 0.030), "degrees of the projector"),
+    "depth_offset": ((2.0, 5.0), "mm of depth, if it was the right camera"),
     "column_x": ((0.006, 0.010), "degrees of the projector, middle to edge"),
     "column_y": ((0.0025, 0.0050), "degrees of the projector, middle to edge"),
     "column_scatter": ((0.025, 0.032), "rad of the fringe's phase"),
@@ -97,6 +98,8 @@ class ConsistencyCheck:
             name: Reading(float(value[k]) * self._projector_deg, float(sigma[k]) * self._projector_deg)
             for k, name in enumerate(("column_offset", "column_x", "column_y"))
         }
+        per_mm = float(np.median(sensitivity.along_ray(self.calibration, patches.shape[:, :3], self._first)[0]))
+        out["depth_offset"] = Reading(-float(value[0]) / per_mm, float(sigma[0]) / abs(per_mm))
         scatter = scale_of(residual - design @ value) * self._phase
         out["column_scatter"] = Reading(scatter, scatter / float(np.sqrt(2 * len(patches))))
         across = [(value[3], float(np.hypot(sigma[3], _PHASE_BIAS / self._phase / _independent(design, 3))))]
@@ -152,13 +155,12 @@ class ConsistencyCheck:
     def _cause(self, readings: dict[str, Reading]) -> str:
         """Device, axis and angle that explain the largest reading; two devices where they cannot be separated."""
         beyond = {name: abs(reading.value) for name, reading in readings.items() if _excess(name, reading) > 0}
-        for name in ("scanned_offset", "column_offset"):
-            if name in beyond:
-                camera = beyond[name] / self._baseline_share()
-                return (
-                    f"the right camera is turned about its vertical axis by {camera:.2f} degrees, or the projector by "
-                    f"{beyond[name]:.2f} degrees: one pair does not separate them"
-                )
+        if beyond.keys() & {"scanned_offset", "column_offset", "depth_offset"}:
+            offset = abs(readings["scanned_offset" if "scanned_offset" in beyond else "column_offset"].value)
+            return (
+                f"the right camera is turned about its vertical axis by {offset / self._baseline_share():.2f} degrees, "
+                f"or the projector by {offset:.2f} degrees: one pair does not separate them"
+            )
         for name in ("scanned_epipolar", "epipolar"):
             if name in beyond:
                 return f"a camera is turned about its horizontal axis by {beyond[name]:.2f} degrees"

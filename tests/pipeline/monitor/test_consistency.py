@@ -113,6 +113,29 @@ def test_nothing_is_published_when_a_device_has_turned(side: str, axis: tuple, d
     assert re.search(cause, found.cause), found.cause
 
 
+@pytest.mark.parametrize("degrees", [0.03, -0.06])
+def test_the_depth_offset_is_the_error_of_the_cloud_if_the_right_camera_has_turned(degrees: float):
+    images = pair("mixed")
+    calibration = turned(LAYOUT.calibration_for(STANDARD), "right", YAW, degrees)
+    cloud = reconstructor(calibration, "warn").reconstruct(images.left, images.right)
+    error = float(np.nanmedian(cloud.xyz[..., 2] - images.truth_left.xyz[..., 2]))
+    assert cloud.consistency.readings["depth_offset"].value == pytest.approx(error, rel=0.05)
+    assert cloud.consistency.verdict == "doubtful"
+
+
+def test_a_projector_near_the_left_camera_shows_a_turn_as_a_small_offset_which_is_withheld():
+    layout = RigLayout(projector_fraction=0.15, baseline_mm=350.0).scaled(0.5)
+    calibration = layout.calibration_for(STANDARD)
+    images = render_pair(layout, build("mixed"), layout.pattern(), STANDARD, 0.0, 5, "rgb8")
+    for degrees, verdict in ((0.0, "consistent"), (0.1, "inconsistent")):
+        displaced = turned(calibration, "right", YAW, degrees)
+        checked = CheckedReconstructor(Reconstructor(displaced, layout.pattern(), layout.volume()), "withhold")
+        found = checked.reconstruct(images.left, images.right).consistency
+        assert found.verdict == verdict
+        assert abs(found.readings["column_offset"].value) < LIMITS["column_offset"][0][1]
+    assert re.search(r"right camera is turned about its vertical axis by 0\.(09|10|11)", found.cause)
+
+
 def test_the_scan_finds_an_offset_between_two_half_columns():
     """The cost is low within a fraction of a column only: a scan in steps of half a column reads 0.47 here."""
     images = pair("mixed")

@@ -22,6 +22,7 @@ from drivers.projector.options import ExternalOptions
 from drivers.projector.x11.detected_output import find_output
 from drivers.protocols import SIDES, ProjectorInfo
 from pipeline.common.errors import PipelineError
+from pipeline.monitor.hidden_turn import hidden_turn
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
 from pipeline.pattern.order_check import order_check
@@ -174,7 +175,7 @@ def volume(subject: Subject, config: RigConfig, calibration: Calibration) -> Ite
 
 
 def layout(subject: Subject, config: RigConfig, calibration: Calibration) -> Iterator[Finding]:
-    """Check whether the projector's position allows to distinguish fringe orders."""
+    """Check whether the layout allows to distinguish fringe orders, and to notice a turned camera."""
     space, fringe = volume_of(subject, config), pattern_of(subject, config)
     if space is None or fringe is None:
         return
@@ -183,6 +184,14 @@ def layout(subject: Subject, config: RigConfig, calibration: Calibration) -> Ite
         yield area.ok("layout", result.recommendation)
     else:
         yield area.warning("layout", *_split(result.recommendation))
+    turn = None if fringe.profile is not None else hidden_turn(calibration, fringe, space)
+    if turn is not None and turn.hidden:
+        yield area.warning(
+            "hidden turn",
+            f"if the right camera turns by {turn.degrees:.2f} degrees, every fringe order changes by one and surfaces "
+            f"by {turn.depth_mm:.0f} mm, which the calibration check cannot see from a pair",
+            "use a frequency-modulated fringe; after an impact measure an object of known distance",
+        )
 
 
 def common_view(calibration: Calibration, depth_mm: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -209,6 +210,16 @@ def test_a_projector_in_the_middle_is_reported_with_a_better_position(tmp_path: 
     write_calibration(tmp_path / "calibration.yaml", layout.calibration())
     (finding,) = by_name(calibration.check(fake_machines.subject(tmp_path, rig=fake_machines.genicam())), "layout")
     assert finding.level == "warning" and "0.382" in finding.remedy, finding
+
+
+def test_a_narrow_field_that_hides_a_turn_of_the_right_camera_is_reported(tmp_path: Path) -> None:
+    narrow = replace(RigLayout(), standoff_mm=1770.0, baseline_mm=340.0, projector_fraction=0.8, focal_px=4300.0)
+    fake_machines.write_rig_files(tmp_path)
+    write_calibration(tmp_path / "calibration.yaml", narrow.scaled(0.125).calibration())
+    pattern = tmp_path / "pattern.json"
+    pattern.write_text(json.dumps(json.loads(pattern.read_text()) | {"periods": 40.0}))
+    (finding,) = by_name(calibration.check(fake_machines.subject(tmp_path, rig=fake_machines.genicam())), "hidden turn")
+    assert finding.level == "warning" and "right camera turns by 0." in finding.text, finding
 
 
 def test_the_age_of_a_calibration(tmp_path: Path) -> None:
