@@ -25,8 +25,12 @@ _NAN, _ZERO, _ONE = np.float32(np.nan), np.float32(0.0), np.float32(1.0)
 def cross_check(
     view: View, phases: PhaseMap, order: NDArray[np.int16], other: View, other_phases: PhaseMap,
     other_order: NDArray[np.int16], correction: NDArray[np.float64], confirmed: NDArray[np.int16],
+    place: NDArray[np.int32],
 ) -> None:  # fmt: skip
-    """Write the orders (h, w) of a view's lattice that the other view confirms to ``confirmed``, NONE elsewhere."""
+    """Write the orders (h, w) of a view's lattice that the other view confirms to ``confirmed``, NONE elsewhere.
+
+    ``place`` (h, w) becomes the number of the other lattice's pixel to which each order leads, -1 = none.
+    """
     t, o = view.table, other.table
     n, m = other_order.shape
     # With a border of two undecided pixels no access needs a test for the lattice's end.
@@ -36,7 +40,7 @@ def cross_check(
     _cross_check(
         blocks(len(order), ROWS), order, t.top, t.down, t.left, t.step, t.lines, view.first_axis, phases.phase,
         phases.descriptors, other_absolute, o.top, o.down, o.left, o.step, view.phase_to_column,
-        correction.astype(np.float32), *slopes, np.float32(view.settings.consistency_threshold), confirmed,
+        correction.astype(np.float32), *slopes, np.float32(view.settings.consistency_threshold), confirmed, place,
     )  # fmt: skip
 
 
@@ -111,12 +115,13 @@ def _other_absolute_row(
 def _cross_check(
     block: int, order: Any, top: int, down: int, left: int, step: int, lines: Any, axis: int, phase: Any,
     descriptors: Any, other_absolute: Any, other_top: int, other_down: int, other_left: int, other_step: int,
-    table: Any, correction: Any, slope_x: Any, slope_y: Any, limit: Any, confirmed: Any,
+    table: Any, correction: Any, slope_x: Any, slope_y: Any, limit: Any, confirmed: Any, place: Any,
 ) -> None:  # fmt: skip
     """Keep orders of :data:`ROWS` lattice rows that lead to the phase which the other camera's search finds there.
 
     Args:
         order, confirmed: (h, w) int16, the second is written; top .. step: position of the lattice in the image.
+        place: (h, w) int32, written, see :func:`cross_check`.
         lines: (7, h, w), of :class:`pipeline.geometry.ray_tables.RayTable`; axis: 0 = phase grows along u.
         phase, descriptors: of this image.
         other_absolute: of :func:`_other_absolute_row`; other_top .. other_step: position of the other lattice.
@@ -151,6 +156,8 @@ def _cross_check(
             absolute[b] -= slope_x * x[b] + slope_y * y[b]
         for b in range(w):
             confirmed[a, b] = UNDECIDED
+            inside = (p[b] >= 0) & (q[b] >= 0) & (p[b] < n) & (q[b] < m) & (order[a, b] != UNDECIDED)
+            place[a, b] = np.int32(p[b] * m + q[b]) if inside else np.int32(-1)
             if order[a, b] == UNDECIDED or p[b] < -1 or q[b] < -1:
                 continue
             # The middle comes first because it nearly always decides.

@@ -41,7 +41,8 @@ class OrderLattice:
         self._jump, self._weight = np.empty((h, w), np.int32), np.empty((h, w), np.float32)
         self._limited: tuple[F64, int] | None = None
         self._segments = Segments((h, w))
-        self.order, self.confident = np.empty((h, w), np.int16), np.empty((h, w), np.uint8)
+        self.order = np.full((h, w), semi_global_aggregation.NONE, np.int16)
+        self.confident = np.empty((h, w), np.uint8)
         self.expected = np.full((h, w), np.nan, np.float32)
         self.certain = np.full((h, w), semi_global_aggregation.NONE, np.int16)
 
@@ -121,8 +122,9 @@ class OrderLattice:
         )
 
     def reject_unseen(
-        self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, order: NDArray[np.int16]
-    ) -> None:
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, place: NDArray[np.int32],
+        order: NDArray[np.int16],
+    ) -> None:  # fmt: skip
         """As of :class:`OrderSearch`."""
         view, t, theirs, segments = self._view, self.table, other_view.table.shape, self._segments
         jumps = segments.find(
@@ -133,7 +135,7 @@ class OrderLattice:
             return self._claims(orders, reference, other, correction, other_view)
 
         unseen = unseen_segments(
-            segments.label, segments.sizes, jumps, self.order, order, claims_of, view.first_axis,
+            segments.label, segments.sizes, jumps, self.order, order, place, claims_of, view.first_axis,
             towards_nearer(view, other_view), theirs[0] * theirs[1],
             view.settings.cluster_min_area // (t.down * t.step),
         )  # fmt: skip

@@ -87,13 +87,14 @@ class OrderSearch:
         self._fine.reject_contradicted(reference, other, correction, other_view, order)
 
     def reject_unseen(
-        self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, order: NDArray[np.int16]
-    ) -> None:
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, place: NDArray[np.int32],
+        order: NDArray[np.int16],
+    ) -> None:  # fmt: skip
         """Change orders (h, w) of strips that the other camera does not see to NONE, as the last search's show them.
 
-        See :mod:`.visibility.visibility_test`.
+        See :mod:`.visibility.visibility_test`; ``place`` (h, w): of :func:`.left_right_check.cross_check`.
         """
-        self._fine.reject_unseen(reference, other, correction, other_view, order)
+        self._fine.reject_unseen(reference, other, correction, other_view, place, order)
 
     def set_prior(self, reference: PhaseMap, order: NDArray[np.int16]) -> None:
         """Expect these orders (h, w) of the last search in the next one, where their cost was low."""

@@ -114,7 +114,10 @@ def _check() -> None:
     made, phases = small_reconstructor("rgb8"), _phase_map()
     left, right = made.left, made.right
     order, other = np.zeros(left.table.shape, np.int16), np.zeros(right.table.shape, np.int16)
-    cross_check(left, phases, order, right, phases, other, made.correction, np.empty_like(order))
+    place = np.empty(order.shape, np.int32)
+    cross_check(left, phases, order, right, phases, other, made.correction, np.empty_like(order), place)
+    made.searches[0].reject_unseen(phases, phases, made.correction, right, place, order)
+    made.searches[0].reject_contradicted(phases, phases, made.correction, right, order)
     propagate(left, phases, order, np.empty((HEIGHT, WIDTH), np.int16))
 
 

@@ -16,6 +16,9 @@ _LEAST_PIXELS = 200
 CLEARLY_LESS = 0.9
 """Mean cost at a displacement of the right image, relative to that without, below which it counts: intact rigs of all
 scenes have the least cost at 0, a pitch of 0.02 degrees gives 0.88, one of 0.05 degrees 0.7."""
+NOISE_COST = 0.005
+"""Lower quartile of the costs that noise alone gives. Where many orders fit into the volume, the least cost of
+unrelated phases is only a few times as much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +67,7 @@ class ColumnScan:
         allowed_px: offset with the least cost among those that a drift of the projector explains.
         allowed_cost: mean least cost there.
         relative_cost: lower quartile of the pixels' costs at ``allowed_px`` over the median of that quartile over all
-            offsets: 0 = every pixel agrees, 1 = no better than unrelated phases.
+            offsets, each less :data:`NOISE_COST`: 0 = every pixel agrees, 1 = no better than unrelated phases.
         across_px: displacement of the right image across the epipolar lines with clearly the least cost, else 0.
     """
 
@@ -91,7 +94,8 @@ class ColumnScan:
         quartiles = np.array([np.quantile(cost, 0.25) for cost in costs])
         best = int(means.argmin())
         allowed = int(np.where(np.abs(offsets) <= largest, means, np.inf).argmin())
-        relative = quartiles[allowed] / max(float(np.median(quartiles)), 1e-6)
+        above = np.maximum([quartiles[allowed], np.median(quartiles)], NOISE_COST) - NOISE_COST
+        relative = above[0] / max(above[1], 1e-6)
         displaced = min(across, key=across.__getitem__)
         return cls(
             float(offsets[best]), float(means[best]), float(offsets[allowed]), float(means[allowed]), float(relative),

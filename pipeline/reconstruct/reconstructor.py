@@ -101,7 +101,7 @@ class Reconstructor:
         distinct = phase_weight(baselines(calibration), linear=self.left.linear)
         self._repeats = distinct < _DISTINCT
         self._least_margin = self.settings.uniqueness_ratio / 100 * max(_LEAST_MARGIN, distinct)
-        self._kept = np.empty(self.left.table.shape, np.int16)
+        self._kept, self._place = (np.empty(self.left.table.shape, kind) for kind in (np.int16, np.int32))
         self._order = np.empty(calibration.left.size[::-1], np.int16)
         self._stages: dict[int, CloudStage] = {}
 
@@ -223,8 +223,10 @@ class Reconstructor:
         left_orders = left_search.search(left, right, self.correction, use_prior=use_prior)
         right_orders = right_search.search(right, left, self.correction, use_prior=use_prior)
         watch.lap("orders")
-        cross_check(self.left, left, left_orders, self.right, right, right_orders, self.correction, self._kept)
-        left_search.reject_unseen(left, right, self.correction, self.right, self._kept)
+        cross_check(
+            self.left, left, left_orders, self.right, right, right_orders, self.correction, self._kept, self._place
+        )
+        left_search.reject_unseen(left, right, self.correction, self.right, self._place, self._kept)
         if self._repeats:
             left_search.reject_contradicted(left, right, self.correction, self.right, self._kept)
         propagate(self.left, left, self._kept, self._order)

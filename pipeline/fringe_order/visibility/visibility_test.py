@@ -35,14 +35,14 @@ _NEARER = 2
 
 def unseen_segments(
     label: NDArray[np.uint16], sizes: NDArray[np.int32], jumps: Jumps, order: NDArray[np.int16],
-    confirmed: NDArray[np.int16], claims_of: Callable[[NDArray[np.int16]], Claims], axis: int, nearer: int, places: int,
-    smallest: int,
+    confirmed: NDArray[np.int16], place: NDArray[np.int32], claims_of: Callable[[NDArray[np.int16]], Claims],
+    axis: int, nearer: int, places: int, smallest: int,
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Which segments (n,) have the order of another surface.
 
     Args:
         label, sizes, jumps: of :class:`pipeline.fringe_order.visibility.order_jumps.Segments`.
-        order: (h, w) of the search; confirmed: (h, w) after the left-right check.
+        order: (h, w) of the search; confirmed, place: (h, w) of the left-right check.
         claims_of: returns the claims of orders (h, w).
         axis: 0 = the other camera lies beside this one, 1 = above or below it; nearer: 1 or -1, direction along it in
             which, of the rays through one pixel of the other camera, those of nearer points lie.
@@ -52,19 +52,19 @@ def unseen_segments(
     known = np.bincount(label[confirmed != NONE], minlength=n + 1)[1:]
     change = _changes(jumps, sizes, known >= np.maximum(smallest, LEAST_CONFIRMED * sizes))
     # The kernels are called without a candidate as well, or they would be compiled in the middle of a live run.
-    moved = np.concatenate([[0], change])[label] if change.any() else np.zeros((0, 0), np.int64)
-    some = order[: len(moved), : moved.shape[1]]
-    continued = np.where(moved != 0, some + moved, NONE).astype(np.int16)
-    claimed, alternative = claims_of(some), claims_of(continued)
+    moved = np.concatenate([np.zeros(1, np.int16), change])[label] if change.any() else np.zeros((0, 0), np.int16)
+    some = np.s_[: len(moved), : moved.shape[1]]
+    own, continued = (np.where(moved != 0, orders, NONE) for orders in (order[some], order[some] + moved))
+    claimed, alternative = claims_of(own), claims_of(continued)
     owner, counts = np.full(places, -1, np.int32), np.zeros((n, 2), np.int64)
-    nearest_claims(claimed.place, axis, nearer, owner)
+    nearest_claims(place[some], axis, nearer, owner)
     count_explained(
         label, claimed.place, claimed.cost, alternative.place, alternative.cost, continued, owner, axis, nearer, counts
     )  # fmt: skip
     return np.asarray((change != 0) & (counts[:, 1] >= LEAST_EXPLAINED * counts[:, 0]))
 
 
-def _changes(jumps: Jumps, sizes: NDArray[np.int32], confirmed: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _changes(jumps: Jumps, sizes: NDArray[np.int32], confirmed: NDArray[np.bool_]) -> NDArray[np.int16]:
     """Change of order (segments,) by which the smaller ones of confirmed segments continue larger ones, 0 = none."""
     j = Jumps(*(field[confirmed[jumps.first] & confirmed[jumps.second]] for field in jumps))
     first = sizes[j.first] <= sizes[j.second]
@@ -75,7 +75,7 @@ def _changes(jumps: Jumps, sizes: NDArray[np.int32], confirmed: NDArray[np.bool_
     shown = np.flatnonzero(continuing >= least)
     # Of several the one with most places is assigned last.
     shown = shown[np.argsort(continuing[shown], kind="stable")]
-    result = np.zeros(len(sizes), np.int64)
+    result = np.zeros(len(sizes), np.int16)
     result[keys[0, shown]] = keys[1, shown]
     return result
 

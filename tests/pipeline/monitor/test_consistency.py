@@ -13,7 +13,7 @@ import pytest
 from benchmarks.reconstruction.cases import HARD, scaled
 from pipeline.monitor.checked_reconstructor import CheckedReconstructor
 from pipeline.monitor.consistency import LIMITS, judged, together
-from pipeline.reconstruct.consistency import ColumnScan, Reading
+from pipeline.reconstruct.consistency import NOISE_COST, ColumnScan, Reading
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
@@ -231,6 +231,15 @@ def test_a_scan_finds_the_offset_with_the_least_cost_and_its_share_of_unrelated_
     assert scan.across_px == 0.0  # no displacement costs clearly less than none
     assert ColumnScan.of(offsets, costs, 2.0, {0: 0.1, 1: 0.09, -3: 0.08}).across_px == -3.0
     assert ColumnScan.of(offsets, [cost[:10] for cost in costs], 2.0, {0: 0.1}) is None
+
+
+def test_costs_count_as_far_as_they_exceed_that_of_noise():
+    offsets = np.arange(-6.0, 7.0)
+    for here, elsewhere, share in ((1.0, 2.0, 0.0), (2.0, 3.0, 0.5), (3.0, 3.0, 1.0), (0.5, 0.8, 0.0)):
+        costs = [np.full(500, elsewhere * NOISE_COST, np.float32) for _ in offsets]
+        costs[6][:] = here * NOISE_COST
+        scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1})
+        assert scan.relative_cost == pytest.approx(share, abs=1e-4)
 
 
 @pytest.mark.parametrize("degrees", [0.1, -0.2, 0.5])

@@ -59,8 +59,8 @@ def judged(
         )
 
     rejected = unseen_segments(
-        LABEL, sizes, jumps() if jump is None else jump, order, order if kept is None else kept, claims_of, 0, nearer,
-        LABEL.size, 13,
+        LABEL, sizes, jumps() if jump is None else jump, order, order if kept is None else kept, columns, claims_of, 0,
+        nearer, LABEL.size, 13,
     )  # fmt: skip
     return [int(k) + 1 for k in np.flatnonzero(rejected)]
 
