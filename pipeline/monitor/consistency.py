@@ -38,6 +38,7 @@ LIMITS: dict[str, tuple[tuple[float, float], str]] = {
     "left_roll": ((0.020, 0.033), "degrees"),
     "right_roll": ((0.020, 0.033), "degrees"),
     "order_cost": ((0.50, 0.60), "of the cost of unrelated phases"),
+    "scanned_drift": ((0.012, 0.030), "degrees of the projector"),
     "scanned_offset": ((np.inf, 0.0), "degrees of the projector"),
     "scanned_epipolar": ((np.inf, 0.0), "degrees of the right camera"),
 }
@@ -75,13 +76,14 @@ class ConsistencyCheck:
         focal = calibration.projector.matrix[self._first, self._first]
         self._projector_deg = float(np.degrees(1 / focal))
         self._camera_deg = float(np.degrees(1 / calibration.right.matrix[1 - self._first, 1 - self._first]))
+        self._middle_mm = (volume.near_mm + volume.far_mm) / 2
         self._phase = 2 * np.pi * pattern.periods / pattern.length
 
     def check(self, left: NDArray[Any], right: NDArray[Any], cloud: Cloud, scan: ColumnScan | None) -> Consistency:
         """Judge a pair of raw images by its cloud, and by the column scan of this pair or of an earlier one."""
         readings = self.readings(self._observer.patches(left, right, cloud))
         if scan is not None:
-            readings |= self._scanned(scan)
+            readings |= self._scanned(scan) | ({} if "column_offset" in readings else self._drift(scan))
         return judged(readings, self._cause(readings))
 
     def readings(self, patches: Patches) -> dict[str, Reading]:
@@ -152,11 +154,22 @@ class ConsistencyCheck:
             out["scanned_epipolar"] = Reading(scan.across_px * self._camera_deg, 0.0)
         return out
 
+    def _drift(self, scan: ColumnScan) -> dict[str, Reading]:
+        """Column offset of a scene whose surface gives too few patches, on which the column correction relies."""
+        middle = self.calibration.left.normalise((np.array([self.calibration.left.size]) - 1.0) / 2)
+        point = np.append(middle[0], 1.0)[None] * self._middle_mm
+        per_mm = float(sensitivity.along_ray(self.calibration, point, self._first)[0][0])
+        return {
+            "scanned_drift": Reading(scan.allowed_px * self._projector_deg, 0.0),
+            "depth_offset": Reading(-scan.allowed_px / per_mm, 0.0),
+        }
+
     def _cause(self, readings: dict[str, Reading]) -> str:
         """Device, axis and angle that explain the largest reading; two devices where they cannot be separated."""
         beyond = {name: abs(reading.value) for name, reading in readings.items() if _excess(name, reading) > 0}
-        if beyond.keys() & {"scanned_offset", "column_offset", "depth_offset"}:
-            offset = abs(readings["scanned_offset" if "scanned_offset" in beyond else "column_offset"].value)
+        if beyond.keys() & {"scanned_offset", "column_offset", "scanned_drift", "depth_offset"}:
+            measured = "column_offset" if "column_offset" in readings else "scanned_drift"
+            offset = abs(readings["scanned_offset" if "scanned_offset" in beyond else measured].value)
             return (
                 f"the right camera is turned about its vertical axis by {offset / self._baseline_share():.2f} degrees, "
                 f"or the projector by {offset:.2f} degrees: one pair does not separate them"

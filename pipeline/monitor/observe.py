@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,8 @@ SIDES = ("left", "right")
 COLORS = ("red", "green", "blue")
 _ROWS = 16
 _LEAST_PATCHES = 24
+_DRAWS = 8
+"""How often patches are chosen at most."""
 _SURFACE_PX = 0.02  # variation of the epipolar residual from scene to scene by slopes and textures alone
 
 
@@ -119,6 +122,8 @@ class Observer:
     def patches(self, left: NDArray[Any], right: NDArray[Any], cloud: Cloud) -> Patches:
         """The surface patches of one pair, chosen at random among those with points.
 
+        Where less than half of them can be measured (clipped, or narrow surfaces), others are chosen.
+
         Raises:
             ImageError: an image of another size or type.
         """
@@ -128,7 +133,21 @@ class Observer:
                 (left, "left", self.calibration.left), (right, "right", self.calibration.right)
             )
         ]  # fmt: skip
-        places = self._chosen(cloud)
+        usable, found = self._usable(cloud), []
+        for _ in range(_DRAWS):
+            chosen = usable
+            if len(usable) > self._limit:
+                chosen = np.sort(self._rng.choice(usable, self._limit, replace=False))
+            usable = np.setdiff1d(usable, chosen, assume_unique=True)
+            found.append(self._measured(images, cloud, self._places[chosen]))
+            if len(usable) == 0 or 2 * sum(map(len, found)) >= self._limit:
+                break
+        return Patches(
+            *(np.concatenate([getattr(one, item.name) for one in found]) for item in fields(Patches))
+        )  # fmt: skip
+
+    def _measured(self, images: Sequence[NDArray[Any]], cloud: Cloud, places: NDArray[np.int64]) -> Patches:
+        """The patches at places (n, 2) that can be measured."""
         n = len(places)
         good = np.zeros(n, np.uint8)
         shape, light, sums = np.zeros((n, SHAPE)), np.zeros((n, 2, 3, LIGHT)), np.zeros((n, TEXTURE))
@@ -139,8 +158,8 @@ class Observer:
         use = good > 0
         return Patches(shape[use], light[use], sums[use], good[use] > 1)
 
-    def _chosen(self, cloud: Cloud) -> NDArray[np.int64]:
-        """Patches whose middle and corners have points, a random part of them."""
+    def _usable(self, cloud: Cloud) -> NDArray[np.int64]:
+        """Numbers of the patches whose middle and corners have points."""
         columns, rows = self._size
         z = cloud.xyz[..., 2]
         valid = np.ones(len(self._places), bool)
@@ -153,10 +172,7 @@ class Observer:
         ):
             u, v = self._places[:, 0] + du - du % 2, self._places[:, 1] + dv - dv % 2
             valid &= np.isfinite(z[v, u])
-        usable = np.flatnonzero(valid)
-        if len(usable) > self._limit:
-            usable = self._rng.choice(usable, self._limit, replace=False)
-        return self._places[np.sort(usable)]
+        return np.flatnonzero(valid)
 
     def observe(self, left: NDArray[Any], right: NDArray[Any], cloud: Cloud) -> Observation:
         """The observation of a pair and its cloud."""

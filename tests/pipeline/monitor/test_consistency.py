@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from benchmarks.reconstruction.cases import HARD, scaled
+from pipeline.monitor import observe
 from pipeline.monitor.checked_reconstructor import CheckedReconstructor
 from pipeline.monitor.consistency import LIMITS, judged, together
+from pipeline.monitor.observe import Observer
 from pipeline.reconstruct.consistency import NOISE_COST, ColumnScan, Reading
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
@@ -134,6 +136,39 @@ def test_a_projector_near_the_left_camera_shows_a_turn_as_a_small_offset_which_i
         assert found.verdict == verdict
         assert abs(found.readings["column_offset"].value) < LIMITS["column_offset"][0][1]
     assert re.search(r"right camera is turned about its vertical axis by 0\.(09|10|11)", found.cause)
+
+
+@functools.cache
+def clipped() -> RenderedPair:
+    """Bright surfaces, most of them over-exposed: hardly a patch can be measured."""
+    case = next(case for case in HARD if case.name == "bright, over-exposed")
+    return pair(case.scene, case.optics)
+
+
+@pytest.mark.parametrize(("axis", "degrees", "verdict"), [(YAW, 0.0, "unknown"), (YAW, 0.1, "inconsistent")])
+def test_where_patches_are_clipped_the_order_search_shows_a_turned_camera(axis: tuple, degrees: float, verdict: str):
+    images = clipped()
+    calibration = turned(LAYOUT.calibration_for(STANDARD), "right", axis, degrees)
+    cloud = reconstructor(calibration).reconstruct(images.left, images.right)
+    found = cloud.consistency
+    assert found.verdict == verdict, found
+    assert "column_offset" not in found.readings
+    assert (cloud.points == 0) == (verdict == "inconsistent")
+    assert bool(re.search("right camera is turned about its vertical axis by 0.1", found.cause)) == (degrees > 0)
+
+
+def test_where_half_of_the_patches_cannot_be_measured_others_are_chosen(monkeypatch: pytest.MonkeyPatch):
+    images = pair("slots")
+    right = images.right.copy()
+    right[: len(right) // 2 + 60] = 255
+    right.setflags(write=False)
+    cloud = reconstructor(policy="off").reconstruct(images.left, images.right)
+    numbers = []
+    for draws in (1, 8):
+        monkeypatch.setattr(observe, "_DRAWS", draws)
+        observer = Observer(LAYOUT.calibration_for(STANDARD), LAYOUT.pattern(), LAYOUT.volume(), patches=40, seed=1)
+        numbers.append(len(observer.patches(images.left, right, cloud)))
+    assert numbers[0] < 20 <= numbers[1] < 80
 
 
 def test_the_scan_finds_an_offset_between_two_half_columns():
