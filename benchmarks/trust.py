@@ -94,14 +94,16 @@ def main(given: list[str]) -> int:
     parser.add_argument("--scale", type=float, default=1.0, help="of images and fringes, 1 = 1024 x 820")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--case", default="", help="those whose name contains this")
-    parser.add_argument("--random", type=int, default=0, help="as many random scenes and rigs instead")
-    parser.add_argument("--rigs", type=int, default=0, help="as many rigs of random design instead")
+    parser.add_argument("--random", type=_count, default=0, help="as many random scenes and rigs instead")
+    parser.add_argument("--rigs", type=_count, default=0, help="as many rigs of random design instead")
     parser.add_argument("--ceiling", action="store_true", help="coverage with true fringe orders and without filters")
     options = parser.parse_args(given)
     drawn = [random_case(number) for number in range(options.random)]
     drawn += [random_rig(number) for number in range(options.rigs)]
     every = drawn or HARD
     cases = [scaled(case, options.scale) for case in every if options.case in case.name]
+    if not cases:
+        parser.error(f"--case {options.case!r}: no name contains this; there are {', '.join(c.name for c in every)}")
     console = Console(width=None if sys.stdout.isatty() else 170)
     if options.ceiling:
         ceiling.table_of(cases, options.seeds).print(console)
@@ -112,6 +114,13 @@ def main(given: list[str]) -> int:
     for what in (what for what, kept in promises if not kept):
         console.print(f"MISSED {what}", highlight=False)
     return 0 if all(kept for _, kept in promises) else 1
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value}, expected at least 1")
+    return value
 
 
 if __name__ == "__main__":

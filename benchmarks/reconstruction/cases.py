@@ -66,6 +66,15 @@ WIDE = RigLayout(
     standoff_mm=1250.0, projector_focal_px=2240.0, periods=32.0, depth_mm=500.0,
 )  # fmt: skip
 """Short lenses and fringes of 41 pixels, as in the public data set of a bust."""
+CLOSE = RigLayout(
+    camera_size=(1280, 1024), focal_px=3386.0, baseline_mm=286.0, projector_fraction=0.372, projector_up_mm=103.0,
+    standoff_mm=894.0, projector_size=(1920, 1080), projector_focal_px=4563.0, periods=73.0, depth_mm=238.0, lens=1.8,
+)  # fmt: skip
+FAR = RigLayout(
+    camera_size=(1024, 768), focal_px=4722.0, baseline_mm=249.0, projector_fraction=0.759, projector_up_mm=126.0,
+    standoff_mm=1568.0, projector_focal_px=5049.0, periods=84.0, depth_mm=266.0, lens=1.25,
+)  # fmt: skip
+"""Both see parts of the cast's wall with one camera only, whose orders then agree with another part of the wall."""
 
 CASES = (
     Case("all at once", "mixed", promise=STANDARD),
@@ -109,6 +118,8 @@ HARD = (
     Case("plaster cast", "cast"),
     Case("plaster cast, Bayer", "cast", encoding="bayer_rggb8"),
     Case("plaster cast, wide fringes", "cast", layout=WIDE, periods=32.0),
+    Case("wall that one camera sees, Bayer", "cast", Optics.realistic(), CLOSE, "bayer_rggb8", periods=73.0),
+    Case("wall that one camera sees, far", "cast", Optics(noise=2.0, ambient=0.15), FAR, periods=84.0),
     Case("standard, wide fringes", "mixed", layout=WIDE, periods=32.0),
     Case("out of focus", "mixed", Optics(psf_px=1.3)),
     Case("strong colours", "colors"),

@@ -24,7 +24,7 @@ LEAST_PLACES, LEAST_SHARE = 8, 0.6
 PER_WIDTH = 0.5
 """Such places, divided by the square root of a segment's lattice pixels: few of a large segment are an accident."""
 LEAST_CONFIRMED = 0.1
-"""Share of a segment's pixels below which the left-right check has rejected it already."""
+"""Share of a segment's pixels below which the left-right check has rejected it, so that it is no evidence."""
 LEAST_EXPLAINED = 0.55
 """Share of a segment's pixels that the continued order explains."""
 _LITTLE = np.float32(0.05)
@@ -50,7 +50,7 @@ def unseen_segments(
     """
     n = len(sizes)
     known = np.bincount(label[confirmed != NONE], minlength=n + 1)[1:]
-    change = _changes(jumps, sizes, known >= np.maximum(smallest, LEAST_CONFIRMED * sizes))
+    change = _changes(jumps, sizes, known >= smallest, known >= np.maximum(smallest, LEAST_CONFIRMED * sizes))
     # The kernels are called without a candidate as well, or they would be compiled in the middle of a live run.
     moved = np.concatenate([np.zeros(1, np.int16), change])[label] if change.any() else np.zeros((0, 0), np.int16)
     some = np.s_[: len(moved), : moved.shape[1]]
@@ -64,11 +64,15 @@ def unseen_segments(
     return np.asarray((change != 0) & (counts[:, 1] >= LEAST_EXPLAINED * counts[:, 0]))
 
 
-def _changes(jumps: Jumps, sizes: NDArray[np.int32], confirmed: NDArray[np.bool_]) -> NDArray[np.int16]:
-    """Change of order (segments,) by which the smaller ones of confirmed segments continue larger ones, 0 = none."""
-    j = Jumps(*(field[confirmed[jumps.first] & confirmed[jumps.second]] for field in jumps))
-    first = sizes[j.first] <= sizes[j.second]
-    smaller, change = np.where(first, j.first, j.second), np.where(first, j.change, -j.change)
+def _changes(
+    jumps: Jumps, sizes: NDArray[np.int32], published: NDArray[np.bool_], confirmed: NDArray[np.bool_]
+) -> NDArray[np.int16]:
+    """Change of order (segments,) by which published segments continue larger, confirmed ones, 0 = none."""
+    first = sizes[jumps.first] <= sizes[jumps.second]
+    smaller, larger = (np.where(which, jumps.first, jumps.second) for which in (first, ~first))
+    chosen = published[smaller] & confirmed[larger]
+    j, smaller, first = Jumps(*(field[chosen] for field in jumps)), smaller[chosen], first[chosen]
+    change = np.where(first, j.change, -j.change)
     keys, group = np.unique(np.stack([smaller, change]), axis=1, return_inverse=True)
     continuing, places = (np.bincount(group.reshape(-1), x, keys.shape[1]) for x in (j.continuing, j.places))
     least = np.maximum(np.maximum(LEAST_PLACES, LEAST_SHARE * places), PER_WIDTH * np.sqrt(sizes[keys[0]]))
