@@ -2,8 +2,9 @@
 
 The images come from rigs whose devices stand otherwise than the calibration has them: turned, exchanged, with another
 focal length. Each row compares what a daemon without the check would publish with what it publishes. Intact rigs with
-the hard scenes, Bayer mosaics and an uncalibrated projector response show how often the check is wrong. The exit code
-is 1 if wrong points are published or an intact rig is withheld.
+the hard scenes, Bayer mosaics and an uncalibrated projector response show how often the check is wrong; ``--rigs``
+turns the devices of rigs of random design instead. The exit code is 1 if wrong points are published or an intact rig is
+withheld.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle, islice
 from typing import Any
@@ -21,6 +22,7 @@ from rich.console import Console
 
 from benchmarks.common.tables import Table
 from benchmarks.reconstruction.cases import HARD, Case, scaled
+from benchmarks.reconstruction.random_rigs import random_rig
 from pipeline.monitor.checked_reconstructor import CheckedReconstructor
 from pipeline.reconstruct.consistency import Consistency
 from pipeline.reconstruct.reconstructor import Reconstructor
@@ -35,7 +37,13 @@ INTACT = "none"
 AXES = ("pitch", "yaw", "roll")
 LARGEST_WRONG = 0.001
 """Share of points that err by over 6 mm in a published cloud, beyond that of the intact rig."""
+_WRONG_OF_DESIGNS = 0.01
 _NOISES = 7
+_TURNS: tuple[tuple[Device, int, float], ...] = (
+    ("right", 0, 0.1), ("right", 1, 0.1), ("right", 1, 0.3), ("right", 2, 0.3), ("projector", 0, 1.0),
+    ("projector", 1, 0.3),
+)  # fmt: skip
+"""Device, axis and angle by which rigs of random design are disturbed."""
 
 Pair = tuple[NDArray[Any], NDArray[Any]]
 
@@ -77,6 +85,12 @@ def images_of(case: Case, *changes: Disturbance, seed: int = 0) -> Pair:
     return with_noise(counts, case.optics, seed, case.encoding)
 
 
+def turned(device: Device, axis: int, degrees: float) -> Disturbance:
+    """A turn about one axis of the device's frame, 0 = horizontal, 1 = vertical, 2 = optical."""
+    x, y, z = (degrees * (axis == k) for k in range(3))
+    return Disturbance(device, turn_deg=(x, y, z))
+
+
 def answers(case: Case) -> Iterator[tuple[str, Answer]]:
     """Every disturbance by name, with what it gives."""
     intact = images_of(case)
@@ -85,8 +99,7 @@ def answers(case: Case) -> Iterator[tuple[str, Answer]]:
     for device, name in devices:
         for k, axis in enumerate(AXES):
             for angle in ANGLES_DEG:
-                turn = (angle * (k == 0), angle * (k == 1), angle * (k == 2))
-                images = images_of(case, Disturbance(device, turn_deg=turn))
+                images = images_of(case, turned(device, k, angle))
                 yield f"{name}, {axis} {angle:g} deg", answer(case, images)
     yield "cameras exchanged", answer(case, intact[::-1])
     calibration = case.layout.calibration_for(case.optics)
@@ -113,6 +126,31 @@ def disturbed(case: Case) -> tuple[Table, list[str]]:
         intact = found.errors.wrong if name == INTACT else intact
         if found.published and not found.errors.wrong <= intact + LARGEST_WRONG:
             wrong.append(f"{name}: {100 * found.errors.wrong:.2f} % of {found.published:,} published points are wrong")
+    return table, wrong
+
+
+def designs(cases: Sequence[Case]) -> tuple[Table, list[str]]:
+    """The table of turned devices of rigs of other designs, and the rigs that publish wrong points because of it."""
+    table = Table(
+        "designs", f"{len(cases)} rigs of random design, disturbed after the calibration",
+        ["disturbance", "rigs with wrong points", "published", "withheld"],
+    )  # fmt: skip
+    intact = [answer(case, images_of(case)) for case in cases]
+    false_alarms = sum(found.found.verdict == "inconsistent" for found in intact)
+    table.add(INTACT, "", str(len(cases) - false_alarms), str(false_alarms))
+    wrong = []
+    for device, axis, angle in _TURNS:
+        name, counts = f"{device}, {AXES[axis]} {angle:g} deg", [0, 0]
+        for case, before in zip(cases, intact, strict=True):
+            found = answer(case, images_of(case, turned(device, axis, angle)))
+            if found.points and found.errors.wrong > before.errors.wrong + _WRONG_OF_DESIGNS:
+                counts[found.published == 0] += 1
+                if found.published:
+                    wrong.append(f"{case.name}, {name}: {100 * found.errors.wrong:.1f} % of {found.published:,} wrong")
+        table.add(name, str(sum(counts)), *map(str, counts))
+    table.notes.append(
+        f"Wrong: {100 * _WRONG_OF_DESIGNS:g} % of the points more than with the intact rig err by over 6 mm."
+    )
     return table, wrong
 
 
@@ -152,11 +190,15 @@ def main(given: list[str]) -> int:
     parser.add_argument("--scale", type=float, default=1.0, help="of images and fringes, 1 = 1024 x 820")
     parser.add_argument("--scene", default="mixed", help="of the disturbed rigs")
     parser.add_argument("--clean", type=int, default=0, help="pairs of intact rigs")
+    parser.add_argument("--rigs", type=int, default=0, help="disturb as many rigs of random design instead")
     parser.add_argument("--intact-only", action="store_true", help="the intact rigs only")
     options = parser.parse_args(given)
     console = Console(width=None if sys.stdout.isatty() else 200)
     problems: list[str] = []
-    if not options.intact_only:
+    if options.rigs > 0:
+        table, problems = designs([scaled(random_rig(number), options.scale) for number in range(options.rigs)])
+        table.print(console)
+    elif not options.intact_only:
         table, problems = disturbed(scaled(Case("disturbed", options.scene), options.scale))
         table.print(console)
     if options.clean:

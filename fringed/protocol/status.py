@@ -31,7 +31,7 @@ class CalibrationCheck(Struct, frozen=True, kw_only=True):
     """Check of every pair against the calibration."""
 
     policy: Annotated[str, Meta(description="withhold, warn or off")]
-    verdict: Annotated[str, Meta(description="of the last pair: consistent, inconsistent or unknown")]
+    verdict: Annotated[str, Meta(description="of the last pair: consistent, doubtful, inconsistent or unknown")]
     reason: Annotated[str, Meta(description="why it is inconsistent")]
     readings: Annotated[dict[str, Any], Meta(description="the quantities that were compared")]
     withheld: Annotated[int, Meta(description="clouds that were not published")]
