@@ -17,7 +17,7 @@ class CloudStats(Struct, frozen=True, kw_only=True):
     valid: Annotated[float, Meta(description="share of the pixels with a point, 0 to 1")]
     latency_ms: Annotated[float, Meta(description="start of exposure to finished cloud")]
     dropped: Annotated[int, Meta(description="pairs dropped before the pipeline so far")]
-    calibration: Annotated[str | None, Meta(description="verdict: consistent, doubtful, inconsistent or unknown")] = None
+    calibration: Annotated[str | None, Meta(description="consistent, doubtful, inconsistent or unknown")] = None
     reason: Annotated[str | None, Meta(description="why the pair contradicts the calibration")] = None
     every: Annotated[int | None, Meta(description="2: the grid has every second row and column; absent: 1")] = None
     mode: Annotated[str | None, Meta(description="multi-frame mode; absent: single")] = None

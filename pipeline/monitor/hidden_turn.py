@@ -26,6 +26,8 @@ F64 = NDArray[np.float64]
 _PER_SIDE = 9
 """Points along each side of the image, and the least number that all devices must see."""
 _ROUNDS = 4
+_LARGEST = np.radians(10.0)
+"""Such a turn leaves nothing in view."""
 
 
 class HiddenTurn(NamedTuple):
@@ -44,7 +46,11 @@ class HiddenTurn(NamedTuple):
 
 
 def hidden_turn(calibration: Calibration, pattern: ColorFringe, volume: Volume) -> HiddenTurn | None:
-    """The turn for plain fringes, on a plane in the middle of the volume; None where not all devices see it."""
+    """The turn for plain fringes, on a plane in the middle of the volume.
+
+    None where not all devices see that, or where the projector stands so near to the left camera that no turn changes
+    its columns by a period.
+    """
     first = 0 if pattern.axis == "x" else 1
     width, height = calibration.left.size
     grid = np.stack(np.meshgrid(*(np.linspace(0, n - 1, _PER_SIDE) for n in (width, height))), axis=-1).reshape(-1, 2)
@@ -58,7 +64,9 @@ def hidden_turn(calibration: Calibration, pattern: ColorFringe, volume: Volume) 
     period, angle = pattern.length / pattern.periods, 1e-4
     for _ in range(_ROUNDS):
         columns, depth = _errors(calibration, points, first, angle)
-        angle *= period / abs(float(np.median(columns)))
+        angle *= period / max(abs(float(np.median(columns))), 1e-9)
+        if angle > _LARGEST:
+            return None
     columns, depth = _errors(calibration, points, first, angle)
     x, y = sensitivity.in_image(calibration, points)
     design = np.stack([np.ones_like(x), x, y], axis=1)

@@ -61,6 +61,11 @@ def test_a_volume_that_the_devices_do_not_see_gives_none():
     assert hidden_turn(layout.calibration(), layout.pattern(), Volume(near_mm=20.0, far_mm=40.0)) is None
 
 
+def test_a_projector_at_the_left_camera_shows_no_turn_at_all():
+    layout = RigLayout(projector_fraction=0.0)
+    assert hidden_turn(layout.calibration(), layout.pattern(), layout.volume()) is None
+
+
 @pytest.mark.timeout(120)
 def test_such_a_turn_is_as_large_as_computed_and_modulated_fringes_show_it():
     """All points are off by the depth that was computed, and the check finds the pair of plain fringes consistent."""
