@@ -28,7 +28,7 @@ from pipeline.rig.volume import Volume
 
 LIMITS: dict[str, tuple[tuple[float, float], str]] = {
     "column_offset": ((0.012, 0.030), "degrees of the projector"),
-    "depth_offset": ((2.0, 5.0), "mm of depth, if it was the right camera"),
+    "depth_offset": ((2.0, 4.0), "mm of depth, if it was the right camera"),
     "column_x": ((0.006, 0.010), "degrees of the projector, middle to edge"),
     "column_y": ((0.0025, 0.0050), "degrees of the projector, middle to edge"),
     "column_scatter": ((0.025, 0.032), "rad of the fringe's phase"),

@@ -115,7 +115,7 @@ def test_nothing_is_published_when_a_device_has_turned(side: str, axis: tuple, d
     assert re.search(cause, found.cause), found.cause
 
 
-@pytest.mark.parametrize("degrees", [0.03, -0.06])
+@pytest.mark.parametrize("degrees", [0.03, -0.05])
 def test_the_depth_offset_is_the_error_of_the_cloud_if_the_right_camera_has_turned(degrees: float):
     images = pair("mixed")
     calibration = turned(LAYOUT.calibration_for(STANDARD), "right", YAW, degrees)
