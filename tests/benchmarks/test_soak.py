@@ -7,7 +7,6 @@ import json
 import os
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ import pytest
 
 from benchmarks.common.process_statistics import Sample, sample
 from benchmarks.soak import report
-from tools.waiting import wait_until
 
 STATUS: dict[str, Any] = {
     "pairs": 100,
@@ -103,19 +101,37 @@ def test_processor_time_is_that_of_the_run_by_thread() -> None:
     assert report.cpu_ms_per_pair([first, last], 100) == {"pipeline": 20.0, "recorder": 5.0}
 
 
+GROWING = """
+import os, threading
+print(flush=True)
+input()
+kept = bytearray(os.urandom(1 << 20) * 64)
+stop = threading.Event()
+thread = threading.Thread(target=stop.wait)
+thread.start()
+print(flush=True)
+input()
+stop.set()
+thread.join()
+print(flush=True)
+input()
+"""
+
+
 def test_a_sample_agrees_with_the_process() -> None:
-    before = sample(os.getpid(), 0.0)
-    kept = bytearray(os.urandom(1 << 20) * 64)
-    stop = threading.Event()
-    thread = threading.Thread(target=stop.wait)
-    thread.start()
-    after = sample(os.getpid(), 1.0)
-    assert after.own_mib - before.own_mib > 50 and len(kept) == 64 << 20
-    assert after.threads == before.threads + 1 and after.rss_mib >= after.own_mib
+    """Of a process of its own: threads that other tests have left would end here at any time."""
+    samples = []
+    with subprocess.Popen([sys.executable, "-c", GROWING], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None and process.stdout is not None
+        for k in range(3):
+            assert process.stdout.readline()
+            samples.append(sample(process.pid, float(k)))
+            process.stdin.write(b"\n")
+            process.stdin.flush()
+    before, after, end = samples
+    assert after.own_mib - before.own_mib > 50
+    assert after.threads == before.threads + 1 == end.threads + 1 and after.rss_mib >= after.own_mib
     assert sum(after.cpu_s.values()) >= sum(before.cpu_s.values())
-    stop.set()
-    thread.join()
-    wait_until(lambda: sample(os.getpid(), 2.0).threads == before.threads)
 
 
 @pytest.mark.timeout(400)  # the first run on a machine compiles every kernel
