@@ -5,9 +5,10 @@ Plain and frequency-modulated fringes share one representation: a table of the a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import reprlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from pipeline.common.errors import PatternError
 from pipeline.rig.calibration import Response
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 THIRD = 2 * np.pi / 3
 _CHANNELS = ("red", "green", "blue")
@@ -109,25 +111,30 @@ def from_mapping(data: Mapping[str, Any]) -> ColorFringe:
     kind = data.get("kind")
     if kind != "color_fringe":
         raise PatternError(f"pattern.kind is {kind!r}; this program measures 'color_fringe'")
+    width, height = _field(data, "size", lambda value: [int(n) for n in _items(value, 2)], "width and height, pixels")
+    shifts = _field(data, "shifts", lambda value: [float(value[name]) for name in _CHANNELS], "red, green, blue (rad)")
+    periods, mean, amplitude = (_field(data, key, float, "a number") for key in ("periods", "mean", "amplitude"))
+    profile = None
+    if data.get("profile") is not None:
+        profile = _field(data, "profile", lambda value: np.array(value, dtype=np.float64), "the phase of every column")
+    axis = data.get("axis", "x")
+    return ColorFringe((width, height), periods, axis, mean, amplitude, (shifts[0], shifts[1], shifts[2]), profile)
+
+
+def _field(data: Mapping[str, Any], key: str, read: Callable[[Any], T], expected: str) -> T:
+    if key not in data:
+        raise PatternError(f"pattern.{key} is missing")
     try:
-        width, height = (int(n) for n in data["size"])
-        red, green, blue = (float(data["shifts"][name]) for name in _CHANNELS)
-        profile = None if data.get("profile") is None else np.array(data["profile"], dtype=np.float64)
-        return ColorFringe(
-            size=(width, height),
-            periods=float(data["periods"]),
-            axis=data.get("axis", "x"),
-            mean=float(data["mean"]),
-            amplitude=float(data["amplitude"]),
-            shifts=(red, green, blue),
-            profile=profile,
-        )
-    except KeyError as error:
-        raise PatternError(f"pattern.{error.args[0]} is missing") from error
-    except PatternError:
-        raise
-    except (TypeError, ValueError) as error:
-        raise PatternError(f"pattern description: {error}") from error
+        return read(data[key])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise PatternError(f"pattern.{key} is {reprlib.repr(data[key])}, expected {expected}") from error
+
+
+def _items(value: Any, number: int) -> list[Any]:
+    items = list(value)
+    if len(items) != number:
+        raise ValueError(f"{len(items)} items")
+    return items
 
 
 def modulated_profile(length: int, periods: float, *, depth: float = 0.15, seed: int = 0) -> Array:

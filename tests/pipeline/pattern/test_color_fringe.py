@@ -92,7 +92,12 @@ def test_a_pattern_survives_json(pattern):
         ({"shifts": {"red": 0}}, "green"),
         ({"profile": [1, 2, 3]}, "profile"),
         ({"profile": [0.0] * 1280}, "increasing"),
-        ({"size": "big"}, "pattern"),
+        ({"size": "big"}, r"pattern.size is 'big', expected width and height"),
+        ({"size": [1280]}, r"pattern.size is \[1280\]"),
+        ({"shifts": [0, 1, 2]}, r"pattern.shifts is \[0, 1, 2\], expected red, green, blue"),
+        ({"periods": None}, "pattern.periods is None, expected a number"),
+        ({"mean": []}, r"pattern.mean is \[\]"),
+        ({"profile": {"a": 1}}, "pattern.profile is"),
     ],
 )
 def test_an_invalid_pattern_is_rejected_with_its_key(change, message):
