@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.accuracy import ceiling
+from benchmarks.common.arguments import positive
 from benchmarks.common.tables import Table
 from benchmarks.reconstruction import rendered
 from benchmarks.reconstruction.cases import HARD, Case, random_case, scaled
@@ -94,8 +95,8 @@ def main(given: list[str]) -> int:
     parser.add_argument("--scale", type=float, default=1.0, help="of images and fringes, 1 = 1024 x 820")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--case", default="", help="those whose name contains this")
-    parser.add_argument("--random", type=_count, default=0, help="as many random scenes and rigs instead")
-    parser.add_argument("--rigs", type=_count, default=0, help="as many rigs of random design instead")
+    parser.add_argument("--random", type=positive, default=0, help="as many random scenes and rigs instead")
+    parser.add_argument("--rigs", type=positive, default=0, help="as many rigs of random design instead")
     parser.add_argument("--ceiling", action="store_true", help="coverage with true fringe orders and without filters")
     options = parser.parse_args(given)
     drawn = [random_case(number) for number in range(options.random)]
@@ -114,13 +115,6 @@ def main(given: list[str]) -> int:
     for what in (what for what, kept in promises if not kept):
         console.print(f"MISSED {what}", highlight=False)
     return 0 if all(kept for _, kept in promises) else 1
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value}, expected at least 1")
-    return value
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from typing import Any
 from numpy.typing import NDArray
 from rich.console import Console
 
+from benchmarks.common.arguments import positive
 from benchmarks.common.tables import Table
 from benchmarks.reconstruction.cases import HARD, Case, scaled
 from benchmarks.reconstruction.random_rigs import random_rig
@@ -189,13 +190,13 @@ def main(given: list[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scale", type=float, default=1.0, help="of images and fringes, 1 = 1024 x 820")
     parser.add_argument("--scene", default="mixed", help="of the disturbed rigs")
-    parser.add_argument("--clean", type=int, default=0, help="pairs of intact rigs")
-    parser.add_argument("--rigs", type=int, default=0, help="disturb as many rigs of random design instead")
+    parser.add_argument("--clean", type=positive, default=0, help="pairs of intact rigs")
+    parser.add_argument("--rigs", type=positive, default=0, help="disturb as many rigs of random design instead")
     parser.add_argument("--intact-only", action="store_true", help="the intact rigs only")
     options = parser.parse_args(given)
     console = Console(width=None if sys.stdout.isatty() else 200)
     problems: list[str] = []
-    if options.rigs > 0:
+    if options.rigs:
         table, problems = designs([scaled(random_rig(number), options.scale) for number in range(options.rigs)])
         table.print(console)
     elif not options.intact_only:

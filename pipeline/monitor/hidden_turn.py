@@ -8,7 +8,6 @@ cameras.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +15,9 @@ from numpy.typing import NDArray
 
 from pipeline.monitor import sensitivity
 from pipeline.monitor.consistency import LIMITS
+from pipeline.monitor.explain import rotated
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration
-from pipeline.rig.camera_model import CameraModel
 from pipeline.rig.volume import Volume
 
 F64 = NDArray[np.float64]
@@ -63,7 +62,7 @@ def hidden_turn(calibration: Calibration, pattern: ColorFringe, volume: Volume) 
         return None
     period, angle = pattern.length / pattern.periods, 1e-4
     for _ in range(_ROUNDS):
-        columns, depth = _errors(calibration, points, first, angle)
+        columns, _ = _errors(calibration, points, first, angle)
         angle *= period / max(abs(float(np.median(columns))), 1e-9)
         if angle > _LARGEST:
             return None
@@ -80,7 +79,10 @@ def hidden_turn(calibration: Calibration, pattern: ColorFringe, volume: Volume) 
 
 def _errors(calibration: Calibration, points: F64, first: int, angle: float) -> tuple[F64, F64]:
     """Errors (n,) of projector column and depth, of points that a turned right camera sees."""
-    seen = _turned(calibration.right, first, angle).project(points)
+    degrees = float(np.degrees(angle))
+    # With these signs the image moves towards larger coordinates along either axis.
+    turned = rotated(calibration, "right", (0.0, degrees, 0.0) if first == 0 else (-degrees, 0.0, 0.0))
+    seen = turned.right.project(points)
     found = points.copy()
     for _ in range(_ROUNDS):
         _, per_mm = sensitivity.along_ray(calibration, found, first)
@@ -88,11 +90,3 @@ def _errors(calibration: Calibration, points: F64, first: int, angle: float) -> 
         found *= 1 + (missing / per_mm[:, first] / found[:, 2])[:, None]
     columns = calibration.projector.project(found) - calibration.projector.project(points)
     return columns[:, first], found[:, 2] - points[:, 2]
-
-
-def _turned(camera: CameraModel, first: int, angle: float) -> CameraModel:
-    """The camera after a turn that moves its image along x (``first`` 0) or y, in place."""
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]] if first == 0 else [[1, 0, 0], [0, c, s], [0, -s, c]])
-    rotation = turn @ camera.rotation
-    return replace(camera, rotation=rotation, translation=-rotation @ camera.centre)

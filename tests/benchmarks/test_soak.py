@@ -14,6 +14,7 @@ import pytest
 
 from benchmarks.common.process_statistics import Sample, sample
 from benchmarks.soak import report
+from tools.waiting import wait_until
 
 STATUS: dict[str, Any] = {
     "pairs": 100,
@@ -125,12 +126,14 @@ def test_a_sample_agrees_with_the_process() -> None:
         assert process.stdin is not None and process.stdout is not None
         for k in range(3):
             assert process.stdout.readline()
+            if k == 2:  # the thread was joined; the system removes it a little later
+                wait_until(lambda: sample(process.pid, 2.0).threads == samples[0].threads)
             samples.append(sample(process.pid, float(k)))
             process.stdin.write(b"\n")
             process.stdin.flush()
-    before, after, end = samples
+    before, after, _ = samples
     assert after.own_mib - before.own_mib > 50
-    assert after.threads == before.threads + 1 == end.threads + 1 and after.rss_mib >= after.own_mib
+    assert after.threads == before.threads + 1 and after.rss_mib >= after.own_mib
     assert sum(after.cpu_s.values()) >= sum(before.cpu_s.values())
 
 
