@@ -10,7 +10,7 @@ import numpy as np
 def median(values: Any) -> float:
     """Median of numbers (n,) without NaN, n > 0.
 
-    The same as ``np.median``, at a quarter of its time: numpy sorts with vector instructions where there are any.
+    The same as ``np.median``, at a fraction of its time, which goes into tests for NaN.
     """
-    ordered = np.sort(values)
-    return float(ordered[(len(ordered) - 1) // 2 : len(ordered) // 2 + 1].mean())
+    low, high = (len(values) - 1) // 2, len(values) // 2
+    return float(np.partition(values, (low, high))[low : high + 1].mean())

@@ -19,7 +19,7 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.types.containers import BaseTuple, Tuple
 from numba.extending import intrinsic
-from numba.np.ufunc.parallel import _launch_threads
+from numba.np.ufunc import parallel as pool
 
 from pipeline.common.jit import body, serial
 
@@ -54,7 +54,8 @@ class ParallelFor:
         Raises:
             MemoryError: a body could not allocate its scratch arrays; indices may be missing.
         """
-        _launch_threads()
+        if not pool._is_initialized:
+            pool._launch_threads()
         if self.dispatcher(count, *arguments):
             raise MemoryError(f"{self.__name__}: no memory for scratch arrays in a loop over {count} indices")
 

@@ -101,20 +101,19 @@ def _points(order: NDArray[np.int64], levels: NDArray[np.int32], squares: NDArra
         order: tiles by brightness, which are split into groups as equal as possible.
         levels, squares: sums over each tile.
     """
-    return np.array(
-        [
-            (levels[group].mean() / _SAMPLES, _lowest_fifth(squares[group]) / (6 * _SAMPLES))
-            for group in np.array_split(order, groups)
-        ]
-    )
-
-
-def _lowest_fifth(values: NDArray[np.int32]) -> float:
-    """What ``np.quantile(values, 0.2)`` gives, in a fraction of its time."""
-    position = 0.2 * (len(values) - 1)
-    below = int(position)
-    low, high = np.partition(values, (below, below + 1))[below : below + 2]
-    return float(low + (position - below) * (high - low))
+    sizes = np.full(groups, len(order) // groups)
+    sizes[: len(order) % groups] += 1
+    starts = np.cumsum(sizes) - sizes
+    # One row for each group, sorted at once; the shorter ones end with a number that no quantile reaches.
+    rows = np.full((groups, sizes[0]), np.iinfo(np.int32).max)
+    rows[np.arange(sizes[0]) < sizes[:, None]] = squares[order]
+    rows.sort(axis=1)
+    # As np.quantile(..., 0.2).
+    position = 0.2 * (sizes - 1)
+    below = position.astype(np.intp)
+    low, high = rows[np.arange(groups), below], rows[np.arange(groups), below + 1]
+    fifth = low + (position - below) * (high - low)
+    return np.stack([np.add.reduceat(levels[order], starts) / sizes / _SAMPLES, fifth / (6 * _SAMPLES)], axis=1)
 
 
 def _line(levels: NDArray[np.int32], squares: NDArray[np.int32]) -> NoiseModel:

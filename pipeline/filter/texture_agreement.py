@@ -76,29 +76,47 @@ class Agreement(NamedTuple):
 
 
 @serial
-def right_values_of_row(valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, width: int, out: Any) -> None:
-    """Means and amplitudes of the right image, linear along the row, nearest row; ``out`` (2, W) float32."""
-    last = mean.shape[0] - 2
-    for j in range(valid.shape[0]):
-        x = np.int32(u[j]) - _HALF
-        at = (np.int32(v[j]) >> _SHIFT) * width + (x >> _SHIFT)
-        at = at if (valid[j] != 0) & (at >= 0) & (at <= last) else np.int32(0)
-        f = (np.float32(x & _ROUND) + np.float32(0.5)) / np.float32(PIXEL_STEPS)
-        a, b = np.float32(mean[at]), np.float32(amplitude[at])
-        out[0, j] = a + f * (np.float32(mean[at + 1]) - a)
-        out[1, j] = b + f * (np.float32(amplitude[at + 1]) - b)
+def right_values_of_row(
+    valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, width: int, place: Any, values: Any, out: Any
+) -> None:  # fmt: skip
+    """Means and amplitudes of the right image, linear along the row, nearest row; ``out`` (2, W) float32.
+
+    Look-ups, which do not vectorise, have a loop of their own; ``place`` (W,) int32 and ``values`` (4, W) uint8 are
+    scratch.
+    """
+    last, n = np.int32(mean.shape[0] - 2), valid.shape[0]
+    for j in range(n):
+        x = np.int32(u[j]) - np.int32(_HALF)
+        at = np.int32(np.int32(np.int32(v[j]) >> np.int32(_SHIFT)) * np.int32(width)) + (x >> np.int32(_SHIFT))
+        place[j] = np.int32(at) if (valid[j] != 0) & (at >= 0) & (at <= last) else np.int32(0)
+    a0, a1, b0, b1 = values[0], values[1], values[2], values[3]
+    for j in range(n):
+        k = np.uint32(place[j])
+        a0[j], a1[j] = mean[k], mean[k + np.uint32(1)]
+        b0[j], b1[j] = amplitude[k], amplitude[k + np.uint32(1)]
+    means, amplitudes = out[0], out[1]
+    for j in range(n):
+        x = np.int32(u[j]) - np.int32(_HALF)
+        f = (np.float32(x & np.int32(_ROUND)) + np.float32(0.5)) * np.float32(1 / PIXEL_STEPS)
+        a, b = np.float32(a0[j]), np.float32(b0[j])
+        means[j] = a + f * (np.float32(a1[j]) - a)
+        amplitudes[j] = b + f * (np.float32(b1[j]) - b)
 
 
 @serial
 def deviations_of_row(valid: Any, mean: Any, amplitude: Any, right: Any, s: Any, deviation: Any, misfit: Any) -> None:
     """Deviation and misfit of a row from its values and ``right`` (2, W); s: of :func:`scales_of`."""
     zero, two, most = np.float32(0.0), np.float32(2.0), np.float32(_LAST)
+    means, amplitudes = right[0], right[1]
+    # Read before the loop: the compiler would gather them under the mask of the valid pixels.
+    mean_centre, mean_weight, amplitude_centre, amplitude_weight = s[0], s[1], s[2], s[3]
     for j in range(valid.shape[0]):
         a, b = np.float32(mean[j]), np.float32(amplitude[j])
-        mean_difference = two * (a - right[0, j]) / (a + right[0, j] + _OFFSET)
-        difference = two * (b - right[1, j]) / (b + right[1, j] + _OFFSET)
-        t, m = mean_difference - s[0], difference - s[2]
-        z = np.float32(sqrt((t * t * s[1] + m * m * s[3]) * np.float32(0.5))) * np.float32(DEVIATION_STEPS)
+        mean_difference = two * (a - means[j]) / (a + means[j] + _OFFSET)
+        difference = two * (b - amplitudes[j]) / (b + amplitudes[j] + _OFFSET)
+        t, m = mean_difference - mean_centre, difference - amplitude_centre
+        square = t * t * mean_weight + m * m * amplitude_weight
+        z = np.float32(sqrt(square * np.float32(0.5))) * np.float32(DEVIATION_STEPS)
         t, m = mean_difference - s[8], difference - s[9]
         beyond = s[6] * max(t * t - s[4], zero) + s[7] * max(m * m - s[5], zero)
         e = np.float32(sqrt(beyond)) * np.float32(MISFIT_STEPS)
@@ -112,9 +130,10 @@ def _compare(
     width: int, scale: Any, deviation: Any, misfit: Any,
 ) -> None:  # fmt: skip
     """Fill :data:`ROWS` rows of the planes of :class:`Agreement`; right images flat, of this width."""
-    right = np.empty((2, valid.shape[1]), np.float32)
+    n = valid.shape[1]
+    right, place, values = np.empty((2, n), np.float32), np.empty(n, np.int32), np.empty((4, n), np.uint8)
     for i in range(block * ROWS, min((block + 1) * ROWS, valid.shape[0])):
-        right_values_of_row(valid[i], u[i], v[i], right_mean, right_amplitude, width, right)
+        right_values_of_row(valid[i], u[i], v[i], right_mean, right_amplitude, width, place, values, right)
         deviations_of_row(valid[i], mean[i], amplitude[i], right, scale, deviation[i], misfit[i])
 
 

@@ -76,18 +76,25 @@ def _projector_positions(
 
 
 @serial
-def _other_positions(low: Any, high: Any, part: Any, lines: Any, correction: Any, main: Any, side: Any) -> None:
+def _other_positions(
+    low: Any, high: Any, part: Any, lines: Any, a: int, correction: Any, main: Any, side: Any
+) -> None:  # fmt: skip
     """Pixels of the other camera that see the points of rays at the projector coordinates low + part (high - low).
 
     Args:
-        lines: (7, w), of :class:`pipeline.geometry.ray_tables.RayTable`; correction: the column correction.
+        lines: (7, h, w), of :class:`pipeline.geometry.ray_tables.RayTable`; a: lattice row.
+        correction: the column correction.
         main, side: results, along the growth of the phase and across it, pixels.
     """
+    m0, m1, m2, q0, q1, r0, r1 = (
+        lines[0, a], lines[1, a], lines[2, a], lines[3, a], lines[4, a], lines[5, a], lines[6, a],
+    )  # fmt: skip
+    c0, c1, c2 = correction[0], correction[1], correction[2]
     for b in range(main.shape[0]):
         u = low[b] + part[b] * (high[b] - low[b])
-        u -= correction[0] + correction[1] * u + correction[2] * (lines[5, b] + lines[6, b] * u)
-        along = (lines[0, b] + lines[1, b] * u) / (_ONE + lines[2, b] * u)
-        main[b], side[b] = along, lines[3, b] + lines[4, b] * along
+        u -= c0 + c1 * u + c2 * (r0[b] + r1[b] * u)
+        along = (m0[b] + m1[b] * u) / (_ONE + m2[b] * u)
+        main[b], side[b] = along, q0[b] + q1[b] * along
 
 
 @serial
@@ -149,7 +156,7 @@ def _cross_check(
         for b in range(w):
             k = np.uint32(index[b] + 2)
             low[b], high[b] = table[k], table[k + np.uint32(1)]
-        _other_positions(low, high, part, lines[:, a], correction, floats[6], floats[7])
+        _other_positions(low, high, part, lines, a, correction, floats[6], floats[7])
         _nearest(y, r0, per_row, n, p)
         _nearest(x, c0, per_column, m, q)
         for b in range(w):

@@ -9,6 +9,7 @@ from pipeline.common.parallel_for import blocks
 from pipeline.common.tile_math import TILE
 from pipeline.decode.decoder import PhaseMap
 from pipeline.fringe_order import order_candidates, order_margins, phase_links, semi_global_aggregation, strip_search
+from pipeline.fringe_order.label_vectors import padded
 from pipeline.fringe_order.visibility import uniqueness
 from pipeline.fringe_order.visibility.order_jumps import Segments
 from pipeline.fringe_order.visibility.uniqueness import Claims
@@ -35,8 +36,9 @@ class OrderLattice:
         self._view, self.table = view, table
         self._rays = np.zeros((h, w, order_candidates.RAY), np.float32)
         self._rays[..., : len(table.lines)] = np.moveaxis(table.lines, 0, -1)
+        self.labels = padded(view.labels)
         # Only the elements of searched pixels are ever written.
-        self.costs, self._total = (np.zeros((h, w * view.labels), np.float32) for _ in range(2))
+        self.costs, self._total = (np.zeros((h, w * self.labels), np.float32) for _ in range(2))
         self.first, self.count = np.zeros((h, w), np.int32), np.zeros((h, w), np.int32)
         self._jump, self._weight = np.empty((h, w), np.int32), np.empty((h, w), np.float32)
         self._limited: tuple[F64, int] | None = None
@@ -53,7 +55,7 @@ class OrderLattice:
         strip_search.search_rows(
             blocks(table.shape[0], strip_search.STRIP), table.top, table.down, table.left, table.step, stride,
             self._rays, reference.phase, reference.descriptors, reference.valid, other.descriptors,
-            view.phase_to_column, view.linear, single, np.float32(view.extent), view.labels, view.first_axis,
+            view.phase_to_column, view.linear, single, np.float32(view.extent), self.labels, view.first_axis,
             np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),
             np.float32(s.switch_penalty), self.certain, self.expected, refresh, np.float32(s.follow_cost), self.costs,
             self._total, self.first, self.count,
@@ -169,7 +171,7 @@ class OrderLattice:
         )  # fmt: skip
         semi_global_aggregation.along_columns(
             blocks(table.shape[1], semi_global_aggregation.BLOCK), self.costs, self.first, self.count, self._jump,
-            self._weight, np.float32(penalty), view.labels, np.float32(CONFIDENT_LEAD * penalty), self._total,
+            self._weight, np.float32(penalty), self.labels, np.float32(CONFIDENT_LEAD * penalty), self._total,
             self.order, self.confident,
         )  # fmt: skip
 

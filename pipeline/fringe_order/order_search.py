@@ -32,8 +32,8 @@ class OrderSearch:
         level.certain[:] = semi_global_aggregation.NONE
         level.search_rows(reference, other, correction, NO_PRIOR, stride)
         count = level.count[::stride]
-        costs = level.costs[::stride].reshape(*count.shape, self._view.labels)
-        exists = np.arange(self._view.labels) < count[..., None]
+        costs = level.costs[::stride].reshape(*count.shape, level.labels)
+        exists = np.arange(level.labels) < count[..., None]
         return np.asarray(np.where(exists, costs, np.inf).min(axis=2)[count >= 2], dtype=np.float32)
 
     def search(self, reference: PhaseMap, other: PhaseMap, correction: F64, *, use_prior: bool) -> NDArray[np.int16]:
@@ -100,7 +100,7 @@ class OrderSearch:
         """Expect these orders (h, w) of the last search in the next one, where their cost was low."""
         fine, v, t = self._fine, self._view, self._view.table
         strip_search.update_prior(
-            len(order), order, fine.certain, fine.first, fine.count, fine.costs, v.labels,
+            len(order), order, fine.certain, fine.first, fine.count, fine.costs, fine.labels,
             np.float32(v.settings.follow_cost), t.top, t.down, t.left, t.step, reference.phase, fine.expected,
         )  # fmt: skip
         self._has_prior = True

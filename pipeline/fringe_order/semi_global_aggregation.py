@@ -5,7 +5,8 @@ A sloping surface then costs nothing, however steep; any other change of order c
 itself shows a break. After Hirschmueller, PAMI 30 (2008), with another meaning of "smooth".
 
 A path keeps the costs of a pixel's labels between two margins as wide, so that a change of the first order is an offset
-in the same memory.
+in the same memory. The number of labels is a multiple of the vectors' lanes (:mod:`.label_vectors`); all are treated
+alike, whether the pixel has them (else the cost is COST_IMPOSSIBLE) or not.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import ordered
+from pipeline.common.jit import inline, ordered
 from pipeline.common.parallel_for import parallel
+from pipeline.fringe_order.label_vectors import advance, least_two
 from pipeline.fringe_order.order_candidates import COST_IMPOSSIBLE
 
 BLOCK = 16
@@ -23,30 +25,12 @@ BLOCK = 16
 NONE = -32768
 """Order of a pixel that has none."""
 _ZERO, _ONE = np.float32(0), np.float32(1)
-_UNREACHED = np.float32(1e9)
 
 
-@ordered
-def _advance(
-    costs: Any, at: int, paths: Any, old: int, new: int, least: Any, labels: int, offset: int, penalty: Any, keep: Any,
-    total: Any,
-) -> Any:  # fmt: skip
-    """One step of a path: new(m) = cost(m) + min(old(m - offset) - least old, penalty); returns the least new.
-
-    ``total`` becomes keep * total + new. All arrays are flat (slices cost more than the step itself); old and new are
-    places in ``paths``, where ``labels`` costs lie between two margins as wide. All labels are treated alike, whether
-    the pixel has them (else the cost is COST_IMPOSSIBLE) or not.
-    """
-    source = np.uint32(old + labels + min(max(offset, -labels), labels))
-    target, base = np.uint32(at), np.uint32(new + labels)
-    least_new = COST_IMPOSSIBLE
-    for k in range(np.uint32(labels)):
-        best = paths[source + k] - least
-        value = costs[target + k] + (best if best < penalty else penalty)
-        paths[base + k] = value
-        total[target + k] = keep * total[target + k] + value
-        least_new = value if value < least_new else least_new
-    return least_new
+@inline
+def _displaced(old: int, labels: int, offset: int) -> int:
+    """Where the neighbour's cost of a pixel's first label lies in ``paths``."""
+    return old + labels + min(max(offset, -labels), labels)
 
 
 @ordered
@@ -87,7 +71,8 @@ def along_row(
                 offset, switch_cost = first[b] - change - first[q], penalty * weight[link]
             if last <= 1:
                 least = _start_path(paths, old, labels, last)
-            least = _advance(costs, b * labels, paths, old, new, least, labels, offset, switch_cost, keep, total)
+            least = advance(costs, b * labels, paths, _displaced(old, labels, offset), new + labels, least, switch_cost,
+                            keep, total, labels)  # fmt: skip
             old, new, last = new, old, count[b]
 
 
@@ -144,22 +129,9 @@ def along_columns(
                 new = (2 * p + 1 - side[p]) * size
                 if last[p] <= 1:
                     least[p] = _start_path(paths, old, labels, last[p])
-                least[p] = _advance(flat_costs, at, paths, old, new, least[p], labels, offset, switch_cost, _ONE,
-                                    flat_total)  # fmt: skip
+                least[p] = advance(flat_costs, at, paths, _displaced(old, labels, offset), new + labels, least[p],
+                                   switch_cost, _ONE, flat_total, labels)  # fmt: skip
                 last[p], side[p] = n, 1 - side[p]
                 if direction == 1:
-                    where, lead = _best_label(flat_total, at, labels)
+                    where, lead = least_two(flat_total, at, labels)
                     order[a, b], confident[a, b] = first[a, b] + where, 1 if lead >= margin else 0
-
-
-@ordered
-def _best_label(total: Any, at: int, labels: int) -> tuple[Any, Any]:
-    """Label of the least value (the first of several), and the lead over the second least."""
-    base, where, best, second = np.uint32(at), np.int64(0), total[np.uint32(at)], _UNREACHED
-    for k in range(1, np.uint32(labels)):
-        value = total[base + np.uint32(k)]
-        less = value < best
-        where = np.int64(k) if less else where
-        second = best if less else (value if value < second else second)
-        best = value if less else best
-    return where, second - best

@@ -12,7 +12,7 @@ from pipeline.common.tile_math import TILE
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, deviations_of_row, right_values_of_row
 from pipeline.match.epipolar_search import OK
 from pipeline.match.match_result import RESIDUAL_STEP
-from pipeline.match.neighbour_orders import NONE, propose_row
+from pipeline.match.neighbour_orders import NONE, classify_row, propose_row
 from pipeline.match.tile_match import load, match_tile, scratch, store_phases, store_places, store_points
 
 ROWS = 8
@@ -79,6 +79,8 @@ class _Tile(NamedTuple):
     deviation: Any
     misfit: Any
     right: Any
+    place: Any
+    values: Any
 
 
 @inline
@@ -89,6 +91,7 @@ def _empty_tile() -> Any:
         np.empty(TILE, f), np.empty(TILE, f), np.empty(TILE, np.uint8), np.empty(TILE, np.uint8),
         np.empty((TILE, 3), f), np.empty(TILE, f), np.empty(TILE, np.uint8), np.empty((4, TILE), np.uint16),
         np.empty((3, TILE), np.int16), np.empty(TILE, np.uint8), np.empty(TILE, np.uint8), np.empty((2, TILE), f),
+        np.empty(TILE, i), np.empty((4, TILE), np.uint8),
     )  # fmt: skip
 
 
@@ -110,8 +113,9 @@ def _match_gathered(pixels: Any, left: Any, right: Any, model: Any, scales: Any,
     store_places(t, n, tile.places[0], tile.places[1], tile.places[2], tile.places[3])
     store_points(t, n, tile.variance, 0, 1, tile.xyz, tile.sigma, tile.valid)
     right_values_of_row(
-        tile.valid[:n], tile.places[0], tile.places[1], right.mean, right.amplitude, model.width, tile.right
-    )
+        tile.valid[:n], tile.places[0], tile.places[1], right.mean, right.amplitude, model.width, tile.place,
+        tile.values, tile.right,
+    )  # fmt: skip
     deviations_of_row(
         tile.valid[:n], tile.mean, tile.amplitude, tile.right, scales, tile.deviation, tile.misfit
     )  # fmt: skip
@@ -136,23 +140,25 @@ def match_neighbours(
     height, width = order.shape
     arrays, tile = scratch(), _empty_tile()
     top, bottom = block * ROWS, min((block + 1) * ROWS, height)
-    proposed, pixels = np.empty((bottom - top, 2, width), np.int16), np.empty((ROWS * width + 1, 2), np.int32)
-    found = 0
+    state = np.zeros(8 * ((width + 7) // 8), np.uint8)
+    ahead, columns = np.empty(width, np.int16), np.empty(width, np.int32)
+    pixels, orders = np.empty((2, ROWS * width, 2), np.int32), np.empty((2, ROWS * width), np.int16)
+    found = np.zeros(2, np.int64)
     for i in range(top, bottom):
-        found += propose_row(order[i], left.phase[i], deviation[i], left.valid[i], slope, GOOD, BAD, REACH,
-                             LARGEST_STEP, proposed[i - top, 0], proposed[i - top, 1])  # fmt: skip
-    if found == 0:
-        return
+        classify_row(deviation[i], left.valid[i], GOOD, BAD, state)
+        ahead[:] = NONE
+        for side in range(2):
+            first = found[side]
+            n = propose_row(
+                side, state, order[i], left.phase[i], slope, REACH, LARGEST_STEP, ahead, columns, orders[side, first:]
+            )
+            for m in range(n):
+                pixels[side, first + m, 0], pixels[side, first + m, 1] = i, columns[m]
+            found[side] += n
     for side in range(2):
-        n = 0
-        for i in range(bottom - top):
-            for j in range(width):
-                pixels[n, 0], pixels[n, 1] = top + i, j
-                n += proposed[i, side, j] != NONE
-        for start in range(0, n, TILE):
-            some = pixels[start : min(start + TILE, n)]
-            for m in range(some.shape[0]):
-                tile.order[m] = proposed[some[m, 0] - top, side, some[m, 1]]
+        for start in range(0, found[side], TILE):
+            some = pixels[side, start : min(start + TILE, found[side])]
+            tile.order[: some.shape[0]] = orders[side, start : start + some.shape[0]]
             _match_gathered(some, left, right, model, scales, arrays, tile)
             for m in range(some.shape[0]):
                 i, j, new = some[m, 0], some[m, 1], np.int32(tile.deviation[m])

@@ -53,14 +53,18 @@ def _flag_colored(balance: Any, limits: Any, flags: Any) -> None:
 
 
 @serial
-def _gains(balance: Any, limits: Any, out: Any) -> None:
-    """Gains (3, n) of successive pixels."""
+def _gains(balance: Any, limits: Any, start: int, end: int, out: Any) -> None:
+    """Gains of successive pixels of a row.
+
+    Rows are cut here, of whole arrays: of one that is cut along its rows the compiler does not know that the numbers of
+    a row lie side by side, and gathers them.
+    """
     zero, one, most = np.float32(0.0), np.float32(1.0), np.float32(LARGEST_GAIN)
     third, four = np.float32(1 / 3), np.float32(4.0)
     mild, slope = limits[0], limits[1]
-    by0, by1, by2 = balance[0], balance[1], balance[2]
-    out0, out1, out2 = out[0], out[1], out[2]
-    for j in range(out.shape[1]):
+    by0, by1, by2 = balance[0, start:end], balance[1, start:end], balance[2, start:end]
+    out0, out1, out2 = out[0, start:end], out[1, start:end], out[2, start:end]
+    for j in range(out0.shape[0]):
         x, y, z = by1[j] * by2[j], by0[j] * by2[j], by0[j] * by1[j]
         total = x + y + z
         vector_sq = x * x + y * y + z * z - x * y - y * z - z * x
@@ -73,7 +77,7 @@ def _gains(balance: Any, limits: Any, out: Any) -> None:
 
 
 @serial
-def gains_of_row(balance: Any, limits: Any, flags: Any, runs: Any, n_runs: int, out: Any) -> int:
+def gains_of_row(balance: Any, limits: Any, width: int, flags: Any, runs: Any, n_runs: int, out: Any) -> int:
     """Gains of the unmixed channels, whose mean brightness they keep; exactly 1 on surfaces that are mildly coloured.
 
     Args:
@@ -82,12 +86,12 @@ def gains_of_row(balance: Any, limits: Any, flags: Any, runs: Any, n_runs: int, 
         flags: (16 + a multiple of BLOCK from W on,) uint8, scratch, 0 but for what this function left there.
         runs: (n, 2) int32, first pixel and end of the parts of the row with gains, and their surroundings; those of the
             last row, ``n_runs``, are replaced.
-        out: (3, W) float32, result; before the first row 1.
+        out: (3, W or more) float32, result; before the first row 1.
 
     Returns:
         Number of runs.
     """
-    width, one = out.shape[1], np.float32(1.0)
+    one = np.float32(1.0)
     for r in range(n_runs):
         for k in range(3):
             for j in range(runs[r, 0], runs[r, 1]):
@@ -106,19 +110,20 @@ def gains_of_row(balance: Any, limits: Any, flags: Any, runs: Any, n_runs: int, 
         opened = found != 0
     for r in range(n):
         start, end = runs[r, 0], runs[r, 1]
-        _gains(balance[:, start:end], limits, out[:, start:end])
+        _gains(balance, limits, start, end, out)
     return n
 
 
 @serial
 def balanced_row(
-    levels: Any, gains: Any, unmix: Any, ideal: Any, floor: float, gain: float, unit_re: Any, unit_im: Any,
+    levels: Any, gains: Any, start: int, unmix: Any, ideal: Any, floor: float, gain: float, unit_re: Any, unit_im: Any,
     usable: Any, re: Any, im: Any, mean: Any, tangential: Any,
 ) -> None:  # fmt: skip
     """Replace the results of :func:`pipeline.decode.kernels.three_step.pointwise_row` where there are gains.
 
     Args:
-        levels: (3, W or more) float32 counts above black; gains: (3, W), of :func:`gains_of_row`.
+        levels: (3, W or more) float32 counts above black; gains: (3, W or more), of :func:`gains_of_row`; ``start``:
+            their column of the first pixel, which is the first of all other rows.
         unmix: (3, 3) inverse crosstalk; ideal: (3, 3), (A, C, S) without crosstalk; the rest as of that function.
     """
     zero, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
@@ -129,8 +134,9 @@ def balanced_row(
     u00, u01, u02 = unmix[0, 0], unmix[0, 1], unmix[0, 2]
     u10, u11, u12 = unmix[1, 0], unmix[1, 1], unmix[1, 2]
     u20, u21, u22 = unmix[2, 0], unmix[2, 1], unmix[2, 2]
-    row_x, row_y, row_z = levels[0, :n], levels[1, :n], levels[2, :n]
-    gain0, gain1, gain2 = gains[0], gains[1], gains[2]
+    end = start + n
+    row_x, row_y, row_z = levels[0, start:end], levels[1, start:end], levels[2, start:end]
+    gain0, gain1, gain2 = gains[0, start:end], gains[1, start:end], gains[2, start:end]
     for j in range(n):
         x, y, z = row_x[j], row_y[j], row_z[j]
         g0, g1, g2 = gain0[j], gain1[j], gain2[j]
@@ -169,15 +175,18 @@ def widen_at_changes(gains: Any, start: int, end: int, re: Any, im: Any, tangent
 
 
 @serial
-def balanced_units(levels: Any, gains: Any, unmix: Any, ideal: Any, re: Any, im: Any, mean: Any) -> None:
+def balanced_units(levels: Any, gains: Any, start: int, unmix: Any, ideal: Any, re: Any, im: Any, mean: Any) -> None:
     """Unit phasors and mean (W,) of levels with gains; arguments as of :func:`balanced_row`."""
     zero, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
     n = re.shape[0]
+    end = start + n
+    row_x, row_y, row_z = levels[0, start:end], levels[1, start:end], levels[2, start:end]
+    gain0, gain1, gain2 = gains[0, start:end], gains[1, start:end], gains[2, start:end]
     for j in range(n):
-        x, y, z = levels[0, j], levels[1, j], levels[2, j]
-        e0 = (unmix[0, 0] * x + unmix[0, 1] * y + unmix[0, 2] * z) * gains[0, j]
-        e1 = (unmix[1, 0] * x + unmix[1, 1] * y + unmix[1, 2] * z) * gains[1, j]
-        e2 = (unmix[2, 0] * x + unmix[2, 1] * y + unmix[2, 2] * z) * gains[2, j]
+        x, y, z = row_x[j], row_y[j], row_z[j]
+        e0 = (unmix[0, 0] * x + unmix[0, 1] * y + unmix[0, 2] * z) * gain0[j]
+        e1 = (unmix[1, 0] * x + unmix[1, 1] * y + unmix[1, 2] * z) * gain1[j]
+        e2 = (unmix[2, 0] * x + unmix[2, 1] * y + unmix[2, 2] * z) * gain2[j]
         c = ideal[1, 0] * e0 + ideal[1, 1] * e1 + ideal[1, 2] * e2
         s = ideal[2, 0] * e0 + ideal[2, 1] * e1 + ideal[2, 2] * e2
         inverse = one / np.float32(sqrt(c * c + s * s + tiny))

@@ -111,7 +111,7 @@ def decode_bayer(
     levels, design = slab[0:3], slab[3:9]
     re, im, w = slab[9, :width], slab[10, :width], slab[11, :width]
     balance, units, samples = slab[12:15], slab[15 : 15 + 2 * ring], slab[15 + 2 * ring : 15 + 4 * ring]
-    plain, gains = slab[15 + 4 * ring : 15 + 5 * ring], slab[15 + 5 * ring : 18 + 5 * ring, :width]
+    plain, gains = slab[15 + 4 * ring : 15 + 5 * ring], slab[15 + 5 * ring : 18 + 5 * ring]
     designs, own_design = slab[18 + 5 * ring :], np.zeros(ring, np.bool_)  # of rows with strong colours
     boxes = np.zeros((2 + over, wide), np.uint16)
     once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
@@ -140,7 +140,7 @@ def decode_bayer(
                         drops[1], once, before[(entered - start) % over], twice)  # fmt: skip
             means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
             balance_of_row(means, scale, black, unmix, balance)
-            n_runs = gains_of_row(balance, colored_from, flags, runs, n_runs, gains)
+            n_runs = gains_of_row(balance, colored_from, width, flags, runs, n_runs, gains)
         if low <= y < high:
             normalised_row(levels, balance, unmix, ideal, re, im)
             if table_step > 0:
@@ -156,7 +156,7 @@ def decode_bayer(
                     own[part, column] = rows[odd if column & 1 else even, part]
             for run in range(n_runs):
                 e, f = runs[run, 0], runs[run, 1]
-                balanced_units(levels[:, e:f], gains[:, e:f], unmix, ideal, units[k, e:f], units[ring + k, e:f],
+                balanced_units(levels, gains, e, unmix, ideal, units[k, e:f], units[ring + k, e:f],
                                plain[k, e:f])  # fmt: skip
                 design_of_row(even, odd, mix, light, gains, e, f, own)
             if table_step > 0:

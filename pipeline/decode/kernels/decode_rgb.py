@@ -72,7 +72,7 @@ def decode_rgb(
     levels, w, c, s = slab[0:3], slab[3, :width], slab[4, :width], slab[5, :width]
     a, v, re, im = slab[6, :width], slab[7, :width], slab[8, :width], slab[9, :width]
     average, balance = slab[10, :width], slab[11:14]
-    gains, unit, sums = slab[14:17, :width], slab[17 : 17 + 2 * ring], slab[17 + 2 * ring :]
+    gains, unit, sums = slab[14:17], slab[17 : 17 + 2 * ring], slab[17 + 2 * ring :]
     boxes = np.zeros((2 + over, wide), np.uint16)
     once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
     shorts = np.zeros((5, 2 * wide), np.uint16)
@@ -96,7 +96,7 @@ def decode_rgb(
                         before[(entered - start) % over], twice)  # fmt: skip
             means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
             balance_of_row(means, scale, black, unmix, balance)
-            n_runs = gains_of_row(balance, colored_from, flags, runs, n_runs, gains)
+            n_runs = gains_of_row(balance, colored_from, width, flags, runs, n_runs, gains)
         if low <= y < high:
             normalised_row(levels, balance, unmix, ideal, w, c)
             if table_step > 0:
@@ -107,8 +107,8 @@ def decode_rgb(
         count = pointwise_row(levels, black, solve, saturation, floor, gain, ur, ui, w, c, s, a, v)
         for run in range(n_runs):
             e, f = runs[run, 0], runs[run, 1]
-            balanced_row(levels[:, e:f], gains[:, e:f], unmix, ideal, floor, gain, ur[e:f], ui[e:f], w[e:f], c[e:f],
-                         s[e:f], a[e:f], v[e:f])  # fmt: skip
+            balanced_row(levels, gains, e, unmix, ideal, floor, gain, ur[e:f], ui[e:f], w[e:f], c[e:f], s[e:f],
+                         a[e:f], v[e:f])  # fmt: skip
             widen_at_changes(gains, e, f, c, s, v)
         if low <= y < high:
             saturated[y] = count

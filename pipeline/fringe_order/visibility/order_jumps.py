@@ -83,8 +83,7 @@ class Segments:
         self._surfaces.find(self._valid, self._link, SMALLEST)
         self._surfaces.paint(self.label)
         find_jumps(h, self.label, *planes, self._found, self._count)
-        columns = np.arange(order.shape[1])
-        found, times = np.unique(self._found[columns < self._count[..., None]], return_counts=True)
+        found, times = np.unique(self._found.reshape(-1)[: joined(self._found, self._count)], return_counts=True)
         return _jumps_of(found, times)
 
 
@@ -175,6 +174,17 @@ def find_jumps(a: int, label: Any, flat: Any, mean: Any, found: Any, count: Any)
             if _meet(label, a, b, 1, 0):
                 found[1, a, n], n = _key(label, flat, mean, a, b, 1, 0), n + 1
     count[1, a] = n
+
+
+@serial
+def joined(found: Any, count: Any) -> int:
+    """Move what :func:`find_jumps` lists by rows to the front of ``found``; the number of all."""
+    flat, n = found.reshape(-1), 0
+    for k in range(count.shape[0]):
+        for a in range(count.shape[1]):
+            for b in range(count[k, a]):
+                flat[n], n = found[k, a, b], n + 1
+    return n
 
 
 def _jumps_of(keys: NDArray[np.int64], times: NDArray[np.int64]) -> Jumps:

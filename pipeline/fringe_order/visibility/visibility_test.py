@@ -93,7 +93,9 @@ def nearest_claims(place: Any, axis: int, nearer: int, owner: Any) -> None:
             c = place[i, j]
             if c >= 0:
                 before = owner[c]
-                ahead = nearer * ((j - before % w) if axis == 0 else (i - before // w))
+                # Divisions of 32 bits without sign take a fraction of the time.
+                row, column = np.uint32(before) // np.uint32(w), np.uint32(before) % np.uint32(w)
+                ahead = nearer * ((j - np.int64(column)) if axis == 0 else (i - np.int64(row)))
                 if before < 0 or ahead > 0:
                     owner[c] = i * w + j
 

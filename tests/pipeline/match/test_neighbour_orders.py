@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.match.neighbour_orders import NONE, propose_row
+from pipeline.match.neighbour_orders import NONE, classify_row, propose_row
 
 SLOPE = 0.5
 
@@ -25,15 +25,19 @@ def _found(order: Any, phase: Any, deviation: Any, usable: Any | None = None) ->
     usable = np.ones(order.shape, bool) if usable is None else usable
     by_pixel: dict[int, set[int]] = {}
     width = order.shape[1]
-    proposed = np.empty((2, width), np.int16)
+    state, ahead = np.zeros(-(-width // 8) * 8, np.uint8), np.empty(width, np.int16)
+    columns, orders = np.empty(width, np.int32), np.empty(width, np.int16)
     for i in range(len(order)):
-        found = propose_row(
-            order[i], phase[i], deviation[i], usable[i], np.float32(SLOPE), 24, 48, 8, np.float32(1.5), *proposed
-        )
-        assert found == np.count_nonzero(proposed != NONE)
-        for row in proposed:
-            for j in np.flatnonzero(row != NONE):
-                by_pixel.setdefault(i * width + int(j), set()).add(int(row[j]))
+        classify_row(deviation[i], usable[i], 24, 48, state)
+        ahead[:] = NONE
+        for side in range(2):
+            n = propose_row(
+                side, state, order[i], phase[i], np.float32(SLOPE), 8, np.float32(1.5), ahead, columns, orders
+            )
+            for j, m in zip(columns[:n], orders[:n], strict=True):
+                proposals = by_pixel.setdefault(i * width + int(j), set())
+                assert int(m) not in proposals
+                proposals.add(int(m))
     return by_pixel
 
 

@@ -11,7 +11,7 @@ import pytest
 from pipeline.common.parallel_for import blocks
 from pipeline.filter.border.border_figures import Planes, border_figures
 from pipeline.filter.border.border_model import FIGURES, MODEL, BorderModel
-from pipeline.filter.border.border_pixels import ROWS, border_of_row
+from pipeline.filter.border.border_pixels import ROWS, border_of_row, changes_of_row
 from pipeline.filter.border.border_test import border_test, largest_odds
 from pipeline.filter.texture_agreement import LOSS
 from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP
@@ -123,8 +123,11 @@ def test_a_border_that_is_near_in_the_right_image_only_counts_too() -> None:
     even, steep = (np.zeros((5, 40), np.uint16) for _ in range(2))
     even[:], steep[:] = PIXEL_STEPS * (np.arange(40) + 9), PIXEL_STEPS * (np.arange(40) // 4 + 9)
     near = [np.empty(40, np.uint8) for _ in range(2)]
-    border_of_row(label, even, 2, near[0])
-    border_of_row(label, steep, 2, near[1])
+    changes = np.zeros((2, 5, 40), np.uint8)
+    for i in range(5):
+        changes_of_row(label, i, *changes[:, i])
+    border_of_row(label, even, 2, *changes, near[0])
+    border_of_row(label, steep, 2, *changes, near[1])
     assert np.flatnonzero(near[0]).tolist() == [18, 19, 20, 21]
     assert set(np.flatnonzero(near[0])) < set(np.flatnonzero(near[1])) and near[1].sum() > 7
 
