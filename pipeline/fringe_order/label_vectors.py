@@ -11,6 +11,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
+from numba.core.types.containers import Tuple
 from numba.extending import intrinsic
 
 LANES = 8
@@ -110,7 +111,7 @@ def least_two(context: Any, total: Any, at: Any, labels: Any) -> Any:  # noqa: A
     Args:
         total: flat; ``at``: the pixel's first label; ``labels``: a multiple of LANES.
     """
-    pair = types.Tuple((types.intp, types.float32))
+    pair = Tuple((types.intp, types.float32))
 
     def code(target: Any, builder: Any, signature: Any, values: Any) -> Any:
         v = _Vectors(target, builder)

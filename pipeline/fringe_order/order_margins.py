@@ -77,9 +77,12 @@ class Groups:
         Args:
             rows, columns: (h,), (w,) of the lattice pixels in ``label``; -1 where they are not in it.
         """
-        group = np.empty(len(rows) * len(columns), np.int32)
-        nodes = np.empty(len(group), np.int32)
-        _group_pixels(self._label, self._row, rows, columns, self._cell, self._across, self._cells, group)
+        groups = np.empty((len(rows), len(columns)), np.int32)
+        group, nodes = groups.reshape(-1), np.empty(groups.size, np.int32)
+        _group_pixels(
+            len(rows), self._label, self._row, rows, columns, columns // self._cell, self._cell, self._across,
+            self._cells, groups,
+        )  # fmt: skip
         n = _choose(group, SAMPLES, self._pixels, np.empty(len(self), np.int32), nodes)
         return nodes[:n], group[nodes[:n]]
 
@@ -104,16 +107,24 @@ def _group_of(k: int, i: int, j: int, row: Any, cell: int, across: int, cells: i
     return k if row[k] < 0 else row.shape[0] + row[k] * cells + (i // cell) * across + j // cell
 
 
-@serial
+@parallel
 def _group_pixels(
-    label: Any, row: Any, rows: Any, columns: Any, cell: int, across: int, cells: int, out: Any
+    a: int, label: Any, row: Any, rows: Any, columns: Any, column_cells: Any, cell: int, across: int, cells: int,
+    out: Any,
 ) -> None:  # fmt: skip
-    n = 0
-    for i in rows:
-        for j in columns:
-            inside = i >= 0 and j >= 0 and label[i, j] != 0
-            out[n] = _group_of(np.int64(label[i, j]) - 1, i, j, row, cell, across, cells) if inside else -1
-            n += 1
+    """Group of each pixel of a lattice row, ``out`` (h, w) int32, -1 without one; as :func:`_group_of`."""
+    i, surfaces = rows[a], row.shape[0]
+    if i < 0:
+        out[a, :] = -1
+        return
+    first = surfaces + (i // cell) * across
+    for b in range(columns.shape[0]):
+        j = columns[b]
+        k = np.int64(label[i, j]) - 1 if j >= 0 else -1
+        group = k
+        if k >= 0 and row[k] >= 0:
+            group = first + row[k] * cells + column_cells[b]
+        out[a, b] = group
 
 
 @serial

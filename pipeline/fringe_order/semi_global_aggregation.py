@@ -95,6 +95,8 @@ def along_columns(
     h, w = first.shape
     flat_costs, flat_total = costs.reshape(-1), total.reshape(-1)
     b0, b1 = group * BLOCK, min(w, group * BLOCK + BLOCK)
+    # Of an index without sign the compiler knows that it is not counted from the end.
+    start, end = np.uint64(b0), np.uint64(b1)
     size = 3 * labels
     paths = np.full(2 * BLOCK * size, COST_IMPOSSIBLE)
     least, last, side = np.full(BLOCK, COST_IMPOSSIBLE), np.zeros(BLOCK, np.int32), np.zeros(BLOCK, np.int32)
@@ -103,16 +105,16 @@ def along_columns(
         for t in range(h):
             a = t if direction == 0 else h - 1 - t
             q, link = (a - 1, a) if direction == 0 else (a + 1, a + 1)
-            most = 0
-            for b in range(b0, b1):
-                most = max(most, count[a, b])
+            most, row = np.int32(0), np.uint64(a)
+            for c in range(start, end):
+                most = max(most, count[row, c])
             if most <= 1:
-                for b in range(b0, b1):
-                    last[b - b0] = count[a, b]
+                for c in range(start, end):
+                    last[c - start] = count[row, c]
                 if direction == 1:
-                    for b in range(b0, b1):
-                        one, none = np.int16(first[a, b]), np.int16(NONE)
-                        order[a, b], confident[a, b] = one if count[a, b] == 1 else none, count[a, b]
+                    for c in range(start, end):
+                        one, none = np.int16(first[row, c]), np.int16(NONE)
+                        order[row, c], confident[row, c] = one if count[row, c] == 1 else none, count[row, c]
                 continue
             for b in range(b0, b1):
                 n, p = count[a, b], b - b0

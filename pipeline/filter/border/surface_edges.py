@@ -33,7 +33,17 @@ def _edge_score(label: Any, deviation: Any, losses: Any, i: int, j: int) -> tupl
     """Mean loss of the surface's pixels within REACH, and how many of the eight neighbours belong to it."""
     height, width = label.shape
     k = label[i, j]
-    total, n, beside = 0, 0, 0
+    total, n, beside = np.float32(0.0), 0, 0
+    if REACH <= i < height - REACH and REACH <= j < width - REACH:
+        # Without limits that depend on the pixel the compiler unrolls both loops.
+        y, x = np.uint64(i - REACH), np.uint64(j - REACH)
+        for a in range(np.uint64(2 * REACH + 1)):
+            for b in range(np.uint64(2 * REACH + 1)):
+                own = label[y + a, x + b] == k
+                total += losses[deviation[y + a, x + b]] if own else np.float32(0.0)
+                n += own
+                beside += own & (abs(np.int64(a) - REACH) <= 1) & (abs(np.int64(b) - REACH) <= 1)
+        return total / np.float32(n), beside - 1
     for y in range(max(0, i - REACH), min(height, i + REACH + 1)):
         for x in range(max(0, j - REACH), min(width, j + REACH + 1)):
             if label[y, x] == k:
@@ -41,7 +51,7 @@ def _edge_score(label: Any, deviation: Any, losses: Any, i: int, j: int) -> tupl
                 n += 1
                 if abs(y - i) <= 1 and abs(x - j) <= 1:
                     beside += 1
-    return np.float32(total) / np.float32(n), beside - 1
+    return total / np.float32(n), beside - 1
 
 
 @parallel

@@ -49,7 +49,9 @@ def unseen_segments(
         places: lattice pixels of the other image; smallest: pixels from which a segment makes a surface.
     """
     n = len(sizes)
-    known = np.bincount(label[confirmed != NONE], minlength=n + 1)[1:]
+    known = np.zeros(n + 1, np.int64)
+    count_known(label.reshape(-1), confirmed.reshape(-1), known)
+    known = known[1:]
     change = _changes(jumps, sizes, known >= smallest, known >= np.maximum(smallest, LEAST_CONFIRMED * sizes))
     # The kernels are called without a candidate as well, or they would be compiled in the middle of a live run.
     moved = np.concatenate([np.zeros(1, np.int16), change])[label] if change.any() else np.zeros((0, 0), np.int16)
@@ -82,6 +84,13 @@ def _changes(
     result = np.zeros(len(sizes), np.int16)
     result[keys[0, shown]] = keys[1, shown]
     return result
+
+
+@serial
+def count_known(label: Any, order: Any, counts: Any) -> None:
+    """Pixels of each label (n,) that have an order, added to ``counts`` (labels,)."""
+    for j in range(label.shape[0]):
+        counts[label[j]] += order[j] != NONE
 
 
 @serial
