@@ -38,8 +38,8 @@ class OrderLattice:
         self._rays[..., : len(table.lines)] = np.moveaxis(table.lines, 0, -1)
         self.labels = padded(view.labels)
         # Only the elements of searched pixels are ever written.
-        self.costs, self._total = (np.zeros((h, w * self.labels), np.float32) for _ in range(2))
-        self.first, self.count = np.zeros((h, w), np.int32), np.zeros((h, w), np.int32)
+        self.costs, self._total = (np.zeros(h * w * self.labels, np.float32) for _ in range(2))
+        self.first, self.count, self.place = (np.zeros((h, w), np.int32) for _ in range(3))
         self._jump, self._weight = np.empty((h, w), np.int32), np.empty((h, w), np.float32)
         self._limited: tuple[F64, int] | None = None
         self._segments = Segments((h, w))
@@ -58,7 +58,7 @@ class OrderLattice:
             view.phase_to_column, view.linear, single, np.float32(view.extent), self.labels, view.first_axis,
             np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),
             np.float32(s.switch_penalty), self.certain, self.expected, refresh, np.float32(s.follow_cost), self.costs,
-            self._total, self.first, self.count,
+            self._total, self.first, self.count, self.place,
         )  # fmt: skip
 
     def _limit_orders(self, correction: F64, stride: int) -> F32:
@@ -170,9 +170,9 @@ class OrderLattice:
             np.float32(view.slopes[1]), self.count, self._jump, self._weight,
         )  # fmt: skip
         semi_global_aggregation.along_columns(
-            blocks(table.shape[1], semi_global_aggregation.BLOCK), self.costs, self.first, self.count, self._jump,
-            self._weight, np.float32(penalty), self.labels, np.float32(CONFIDENT_LEAD * penalty), self._total,
-            self.order, self.confident,
+            blocks(table.shape[1], semi_global_aggregation.BLOCK), self.costs, self.place, self.first, self.count,
+            self._jump, self._weight, np.float32(penalty), self.labels, np.float32(CONFIDENT_LEAD * penalty),
+            self._total, self.order, self.confident,
         )  # fmt: skip
 
 

@@ -31,10 +31,11 @@ class OrderSearch:
         level = self._fine
         level.certain[:] = semi_global_aggregation.NONE
         level.search_rows(reference, other, correction, NO_PRIOR, stride)
-        count = level.count[::stride]
-        costs = level.costs[::stride].reshape(*count.shape, level.labels)
-        exists = np.arange(level.labels) < count[..., None]
-        return np.asarray(np.where(exists, costs, np.inf).min(axis=2)[count >= 2], dtype=np.float32)
+        some = level.count[::stride] >= 2
+        labels = np.arange(level.labels)
+        costs = level.costs[level.place[::stride][some][:, None] + labels]
+        exists = labels < level.count[::stride][some][:, None]
+        return np.asarray(np.where(exists, costs, np.inf).min(axis=1), dtype=np.float32)
 
     def search(self, reference: PhaseMap, other: PhaseMap, correction: F64, *, use_prior: bool) -> NDArray[np.int16]:
         """Orders (h, w) of the lattice pixels, valid until the next call.
@@ -100,7 +101,7 @@ class OrderSearch:
         """Expect these orders (h, w) of the last search in the next one, where their cost was low."""
         fine, v, t = self._fine, self._view, self._view.table
         strip_search.update_prior(
-            len(order), order, fine.certain, fine.first, fine.count, fine.costs, fine.labels,
+            len(order), order, fine.certain, fine.first, fine.count, fine.costs, fine.place,
             np.float32(v.settings.follow_cost), t.top, t.down, t.left, t.step, reference.phase, fine.expected,
         )  # fmt: skip
         self._has_prior = True

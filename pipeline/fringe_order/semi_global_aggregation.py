@@ -46,13 +46,15 @@ def _start_path(paths: Any, old: int, labels: int, n: int) -> Any:
 
 @ordered
 def along_row(
-    costs: Any, first: Any, count: Any, jump: Any, weight: Any, penalty: Any, labels: int, paths: Any, total: Any
-) -> None:
+    costs: Any, place: Any, first: Any, count: Any, jump: Any, weight: Any, penalty: Any, labels: int, paths: Any,
+    total: Any,
+) -> None:  # fmt: skip
     """Both horizontal paths of a lattice row.
 
     Args:
-        costs, total: (w * labels,), COST_IMPOSSIBLE for labels that a pixel does not have; the second is written where
-            there are several labels; first, count: (w,) first order, number of orders.
+        costs, total: flat, COST_IMPOSSIBLE for labels that a pixel does not have; the second is written where
+            there are several labels; place: (w,) int32, where a pixel's labels begin in both.
+        first, count: (w,) first order, number of orders.
         paths: (6 * labels,) scratch, COST_IMPOSSIBLE.
     """
     w = first.shape[0]
@@ -71,29 +73,28 @@ def along_row(
                 offset, switch_cost = first[b] - change - first[q], penalty * weight[link]
             if last <= 1:
                 least = _start_path(paths, old, labels, last)
-            least = advance(costs, b * labels, paths, _displaced(old, labels, offset), new + labels, least, switch_cost,
+            least = advance(costs, place[b], paths, _displaced(old, labels, offset), new + labels, least, switch_cost,
                             keep, total, labels)  # fmt: skip
             old, new, last = new, old, count[b]
 
 
 @parallel
 def along_columns(
-    group: int, costs: Any, first: Any, count: Any, jump: Any, weight: Any, penalty: Any, labels: int, margin: Any,
-    total: Any, order: Any, confident: Any,
+    group: int, costs: Any, place: Any, first: Any, count: Any, jump: Any, weight: Any, penalty: Any, labels: int,
+    margin: Any, total: Any, order: Any, confident: Any,
 ) -> None:  # fmt: skip
     """Both vertical paths, and the decision.
 
     Blocks of columns, one thread each, are read in the order of the memory.
 
     Args:
-        costs, total: (h, w * labels); first, count: (h, w) int32.
+        costs, total: flat; place, first, count: (h, w) int32, as of :func:`along_row`.
         jump, weight: (h, w), of :func:`pipeline.fringe_order.phase_links.column_links`.
         margin: lead of the best total over the second best from which a decision is confident.
         order: (h, w) int16, written, NONE where there are no candidates; confident: (h, w) uint8, written, 1 where
             there is one candidate only or its lead is large enough, else 0.
     """
     h, w = first.shape
-    flat_costs, flat_total = costs.reshape(-1), total.reshape(-1)
     b0, b1 = group * BLOCK, min(w, group * BLOCK + BLOCK)
     # Of an index without sign the compiler knows that it is not counted from the end.
     start, end = np.uint64(b0), np.uint64(b1)
@@ -123,7 +124,7 @@ def along_columns(
                     if direction == 1:
                         order[a, b], confident[a, b] = first[a, b] if n == 1 else NONE, n
                     continue
-                at, offset, switch_cost = (a * w + b) * labels, 0, penalty
+                at, offset, switch_cost = np.int64(place[a, b]), 0, penalty
                 if t > 0:
                     change = jump[link, b] if direction == 0 else -jump[link, b]
                     offset, switch_cost = first[a, b] - change - first[q, b], penalty * weight[link, b]
@@ -131,9 +132,9 @@ def along_columns(
                 new = (2 * p + 1 - side[p]) * size
                 if last[p] <= 1:
                     least[p] = _start_path(paths, old, labels, last[p])
-                least[p] = advance(flat_costs, at, paths, _displaced(old, labels, offset), new + labels, least[p],
-                                   switch_cost, _ONE, flat_total, labels)  # fmt: skip
+                least[p] = advance(costs, at, paths, _displaced(old, labels, offset), new + labels, least[p],
+                                   switch_cost, _ONE, total, labels)  # fmt: skip
                 last[p], side[p] = n, 1 - side[p]
                 if direction == 1:
-                    where, lead = least_two(flat_total, at, labels)
+                    where, lead = least_two(total, at, labels)
                     order[a, b], confident[a, b] = first[a, b] + where, 1 if lead >= margin else 0

@@ -32,7 +32,7 @@ def search_rows(
     phase: Any, descriptors: Any, valid: Any, other_descriptors: Any,
     columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
     inv: Any, texture: Any, penalty: Any, certain: Any, expected: Any, refresh: int, limit: Any,
-    costs: Any, total: Any, first: Any, count: Any,
+    costs: Any, total: Any, first: Any, count: Any, place: Any,
 ) -> None:  # fmt: skip
     """Compute the candidates' costs on the lattice (on every n-th row) and aggregate along its rows.
 
@@ -49,22 +49,24 @@ def search_rows(
         expected: (h, w) float32, expected absolute phase (the prior), NaN = unknown; a pixel whose expected order
             costs at most ``limit``, amid others for which that holds, has no other candidate. Not used in lattice
             rows a with ``a % REFRESH == refresh``; refresh < 0: nowhere.
-        costs, total: (h, w * labels) float32, written where there are several candidates; first, count: (h, w) int32,
+        costs, total: (h * w * labels,) float32, written where there are several candidates; first, count: (h, w) int32,
             written.
+        place: (h, w) int32, written but for certain pixels: where the costs of a pixel's orders begin. Those of a strip
+            lie together, since few pixels of a lattice are searched.
     """
     h, w = expected.shape
     height, width = other_descriptors.shape
     pixels_across = descriptors.shape[1]
     flat_rays = rays.reshape(-1)
     flat_expected, flat_first, flat_count = expected.reshape(-1), first.reshape(-1), count.reshape(-1)
-    flat_phase, flat_descriptors, flat_costs = phase.reshape(-1), descriptors.reshape(-1), costs.reshape(-1)
+    flat_phase, flat_descriptors, flat_place = phase.reshape(-1), descriptors.reshape(-1), place.reshape(-1)
     flat_other = other_descriptors.reshape(-1)
     a0, a1 = strip * STRIP, min(strip * STRIP + STRIP, h)
     t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
     # 0: to be searched, 1: left out, 2: as expected, 3: contradicts the prior, or is not yet compared with it.
     state = np.zeros((STRIP, w), np.int8)
     nodes, pixels = np.empty(STRIP * w, np.int32), np.empty(STRIP * w, np.int32)
-    n = 0
+    n, free = 0, a0 * w * labels
     for a in range(a0, a1):
         use_prior = refresh >= 0 and a % REFRESH != refresh
         row_state = state[a - a0]
@@ -76,7 +78,9 @@ def search_rows(
             elif certain[a, b] != NONE:
                 row_state[b] = 1
                 flat_first[a * w + b], flat_count[a * w + b] = certain[a, b], 1
-            elif use_prior and expected[a, b] == expected[a, b]:
+            else:
+                place[a, b], free = free, free + labels
+            if row_state[b] == 0 and use_prior and expected[a, b] == expected[a, b]:
                 row_state[b] = 3
                 nodes[n], pixels[n] = a * w + b, pixel[0] * pixels_across + pixel[1]
                 n += 1
@@ -95,7 +99,7 @@ def search_rows(
                 state[part[j] // w - a0, part[j] % w] = 2
                 flat_first[node] += np.int32(t[MOVE + j])
                 flat_count[node] = 1
-                flat_costs[node * np.uint32(labels)] = t[COST + j]
+                costs[np.uint32(flat_place[node])] = t[COST + j]
     n = 0
     for b0 in range(0, w, _CELL):
         b1 = min(b0 + _CELL, w)
@@ -117,28 +121,28 @@ def search_rows(
         most = load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_descriptors,
                           flat_first, flat_count, labels)  # fmt: skip
         for j in range(m):
-            base = np.uint32(part[j] * labels)
+            base = np.uint32(flat_place[np.uint32(part[j])])
             for order in range(np.uint32(labels)):
-                flat_costs[base + order] = COST_IMPOSSIBLE
+                costs[base + order] = COST_IMPOSSIBLE
         for order in range(most):
             candidate_costs(t, k, order, columns, linear, correction, extent, flat_other, width, height, axis, inv,
                             texture)  # fmt: skip
             for j in range(m):
                 node = np.uint32(part[j])
                 if order < flat_count[node]:
-                    flat_costs[node * np.uint32(labels) + np.uint32(order)] = t[COST + j]
+                    costs[np.uint32(flat_place[node]) + np.uint32(order)] = t[COST + j]
     jump, weight = np.empty(w, np.int32), np.empty(w, np.float32)
     paths = np.full(6 * labels, COST_IMPOSSIBLE)
     for a in range(a0, a1):
         i = top + down * a
         if a % stride == 0:
             row_links(phase[i], valid[i], left, step, slope, count[a], jump, weight)
-            along_row(costs[a], first[a], count[a], jump, weight, penalty, labels, paths, total[a])
+            along_row(costs, place[a], first[a], count[a], jump, weight, penalty, labels, paths, total)
 
 
 @parallel
 def update_prior(
-    a: int, order: Any, certain: Any, first: Any, count: Any, costs: Any, labels: int, limit: Any, top: int, down: int,
+    a: int, order: Any, certain: Any, first: Any, count: Any, costs: Any, place: Any, limit: Any, top: int, down: int,
     left: int, step: int, phase: Any, expected: Any,
 ) -> None:  # fmt: skip
     """Absolute phases of lattice pixels whose order costs at most ``limit``, NaN elsewhere; see :func:`search_rows`.
@@ -155,7 +159,7 @@ def update_prior(
         label = order[a, b] - first[a, b]
         good = order[a, b] != NONE and 0 <= label < count[a, b]
         if good and certain[a, b] == NONE:
-            good = costs[a, np.uint32(b * labels + label)] <= limit
+            good = costs[np.uint32(place[a, b] + label)] <= limit
         if good:
             value = phase[i, np.uint32(left + step * b)] + _TURN * np.float32(order[a, b])
         expected[a, b] = value
