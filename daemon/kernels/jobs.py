@@ -48,7 +48,7 @@ def run_job(name: str) -> None:
     if kind == MEASURE and part == "monitor":
         from pipeline.monitor.observe import warm_up
 
-        warm_up()
+        warm_up(parallel=True)
     elif kind == MEASURE:
         from pipeline.reconstruct import compilation
 

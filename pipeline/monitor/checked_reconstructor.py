@@ -61,7 +61,7 @@ class CheckedReconstructor:
         """As of the reconstructor."""
         self.inner.warm_up(strides=strides, use_prior=use_prior)
         if self.policy != "off":
-            observe.warm_up()
+            observe.warm_up(parallel=True)
 
     def color(self, left: NDArray[Any]) -> NDArray[np.uint8]:
         """The fringe-free colour of a left raw image, on the grid of the clouds."""

@@ -70,7 +70,7 @@ class ConsistencyCheck:
         patches: int = 60,
     ) -> None:
         self._observer = Observer(
-            calibration, pattern, volume, encoding=encoding, settings=settings, patches=patches, seed=1
+            calibration, pattern, volume, encoding=encoding, settings=settings, patches=patches, seed=1, parallel=True
         )
         self.calibration, self._first = calibration, self._observer.first
         focal = calibration.projector.matrix[self._first, self._first]

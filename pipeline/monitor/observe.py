@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
 from pipeline.decode.raw_image import checked, mosaic_of
 from pipeline.geometry.ray_tables import DepthScale, packed, period_in_image
 from pipeline.monitor import sensitivity, texture_disparity
 from pipeline.monitor.brightness import TEXTURE
 from pipeline.monitor.lock_in import LIGHT
-from pipeline.monitor.patches import SHAPE, measure_patches
+from pipeline.monitor.patches import GROUP, SHAPE, measure_group, measure_patches
 from pipeline.monitor.robust import fit, means
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct.cloud import Cloud
@@ -79,6 +80,7 @@ class Observer:
         calibration, pattern, volume, encoding: as of the reconstructor that made the clouds.
         patches: largest number of surface patches of each pair; more take longer and reduce the standard deviations.
         seed: of the random choice of patches.
+        parallel: measure on numba's threads, of which no other thread may make use at the same time.
     """
 
     def __init__(
@@ -91,10 +93,11 @@ class Observer:
         settings: Settings | None = None,
         patches: int = 150,
         seed: int = 0,
+        parallel: bool = False,
     ) -> None:
         self.calibration, self.pattern, self.encoding = calibration, pattern, encoding
         self._settings = settings or Settings()
-        self._limit = patches
+        self._limit, self._parallel = patches, parallel
         self._rng = np.random.default_rng(seed)
         mosaic = mosaic_of(encoding)
         self._mosaic = np.zeros((2, 2), np.int64) if mosaic is None else mosaic
@@ -151,10 +154,14 @@ class Observer:
         n = len(places)
         good = np.zeros(n, np.uint8)
         shape, light, sums = np.zeros((n, SHAPE)), np.zeros((n, 2, 3, LIGHT)), np.zeros((n, TEXTURE))
-        measure_patches(
+        arguments = (
             images[0], images[1], self._mosaic, self._black, cloud.xyz, places, *self._size, self._projector,
             self._other, self._phases, self._first, int(np.ceil(self._settings.saturation)), good, shape, light, sums,
         )  # fmt: skip
+        if self._parallel:
+            measure_group(blocks(n, GROUP), *arguments)
+        else:
+            measure_patches(*arguments)
         use = good > 0
         return Patches(shape[use], light[use], sums[use], good[use] > 1)
 
@@ -264,13 +271,16 @@ class Observer:
         return {f"{side}_modulation": Reading(float(value[k]), float(sigma[k])) for k, side in enumerate(SIDES)}
 
 
-def warm_up() -> None:
-    """Compile (or load) the kernel by a run on empty images."""
+def warm_up(*, parallel: bool = False) -> None:
+    """Compile (or load) the kernel by a run on empty images; ``parallel``: that on numba's threads, too."""
     image = np.zeros((8, 8, 3), np.uint8)
     image.setflags(write=False)
     device = np.zeros(22)
     nothing = np.zeros(0, np.uint8), np.zeros((0, SHAPE)), np.zeros((0, 2, 3, LIGHT)), np.zeros((0, TEXTURE))
-    measure_patches(
+    arguments = (
         image, image, np.zeros((2, 2), np.int64), np.zeros((2, 3)), np.zeros((8, 8, 3), np.float32),
         np.zeros((0, 2), np.int64), 8, 8, device, device, np.zeros(8), 0, 255, *nothing,
     )  # fmt: skip
+    measure_patches(*arguments)
+    if parallel:
+        measure_group(0, *arguments)

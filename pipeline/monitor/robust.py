@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.common.median import median
+
 F64 = NDArray[np.float64]
 
 _PASSES = 4
@@ -13,7 +15,7 @@ _TUNING = 2.5  # scales from which the weight of a residual decreases (Huber)
 
 def scale_of(residuals: F64) -> float:
     """Standard deviation of the bulk: 1.4826 times the median of the absolute values."""
-    return 1.4826 * float(np.median(np.abs(residuals))) + 1e-12
+    return 1.4826 * median(np.abs(residuals)) + 1e-12
 
 
 def means(values: F64) -> tuple[F64, F64]:

@@ -36,11 +36,11 @@ def _edge_score(label: Any, deviation: Any, losses: Any, i: int, j: int) -> tupl
     total, n, beside = np.float32(0.0), 0, 0
     if REACH <= i < height - REACH and REACH <= j < width - REACH:
         # Without limits that depend on the pixel the compiler unrolls both loops.
-        y, x = np.uint64(i - REACH), np.uint64(j - REACH)
+        top, left = np.uint64(i - REACH), np.uint64(j - REACH)
         for a in range(np.uint64(2 * REACH + 1)):
             for b in range(np.uint64(2 * REACH + 1)):
-                own = label[y + a, x + b] == k
-                total += losses[deviation[y + a, x + b]] if own else np.float32(0.0)
+                own = label[top + a, left + b] == k
+                total += losses[deviation[top + a, left + b]] if own else np.float32(0.0)
                 n += own
                 beside += own & (abs(np.int64(a) - REACH) <= 1) & (abs(np.int64(b) - REACH) <= 1)
         return total / np.float32(n), beside - 1
