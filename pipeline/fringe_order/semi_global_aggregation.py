@@ -96,7 +96,7 @@ def along_columns(
     """
     h, w = first.shape
     b0, b1 = group * BLOCK, min(w, group * BLOCK + BLOCK)
-    # Of an index without sign the compiler knows that it is not counted from the end.
+    # An index without sign cannot count from the end: the compiler needs no test, and loads whole vectors.
     start, end = np.uint64(b0), np.uint64(b1)
     size = 3 * labels
     paths = np.full(2 * BLOCK * size, COST_IMPOSSIBLE)

@@ -50,14 +50,14 @@ def propose_row(
     """
     # Most pixels are inside a surface: eight of them are passed at once.
     eights = state.view(np.uint64)
-    words, step = eights.shape[0], 1 if side == 0 else -1
+    n, step = eights.shape[0], 1 if side == 0 else -1
     found, run, last = 0, 0, -1
-    for t in range(words):
-        word, start = (eights[t], 8 * t) if side == 0 else (eights[words - 1 - t], 8 * (words - t) - 1)
-        if word == _ALL_GOOD:
+    for t in range(n):
+        eight, start = (eights[t], 8 * t) if side == 0 else (eights[n - 1 - t], 8 * (n - t) - 1)
+        if eight == _ALL_GOOD:
             run, last = run + 8, start + 7 * step
             continue
-        if (word & _ALL_GOOD) == 0 and (word == 0 or last < 0 or abs(start - last) > reach):
+        if (eight & _ALL_GOOD) == 0 and (eight == 0 or last < 0 or abs(start - last) > reach):
             run = 0
             continue
         for j in range(start, start + 8 * step, step):

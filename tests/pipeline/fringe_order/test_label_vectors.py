@@ -58,7 +58,7 @@ def test_a_step_adds_the_lesser_of_the_neighbours_cost_and_the_penalty(labels: i
 def test_the_first_of_the_least_values_and_its_lead_are_found(labels: int) -> None:
     rng = np.random.default_rng(labels)
     for trial in range(200):
-        # Few different values: the least one is often there several times, in one lane or in several.
+        # Few different values: the least one is often there several times, in one vector or in several.
         total = rng.integers(0, 2 + trial, 3 * labels).astype(np.float32)
         own = total[labels : 2 * labels]
         where, lead = _least_two(total, labels, labels)
