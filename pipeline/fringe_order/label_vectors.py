@@ -87,7 +87,7 @@ def advance(
     def code(target: Any, builder: Any, signature: Any, values: Any) -> Any:
         v = _Vectors(target, builder)
         costs_at, paths_at, total_at = (v.data(signature.args[k], values[k]) for k in (0, 2, 8))
-        first, source, target = values[1], values[3], values[4]
+        first, source, into = values[1], values[3], values[4]
         lowest, limit, kept = v.all(values[5]), v.all(values[6]), v.all(values[7])
         result = cgutils.alloca_once_value(builder, ir.Constant(_VECTOR, [_UNREACHED] * LANES))
         with cgutils.for_range(builder, builder.udiv(values[9], _WORD(LANES)), intp=_WORD) as loop:
@@ -95,7 +95,7 @@ def advance(
             over = builder.fsub(v.load(paths_at, builder.add(source, k)), lowest, flags=_FLAGS)
             here = builder.add(first, k)
             value = builder.fadd(v.load(costs_at, here), v.less(over, limit), flags=_FLAGS)
-            builder.store(value, v.place(paths_at, builder.add(target, k)), align=4)
+            builder.store(value, v.place(paths_at, builder.add(into, k)), align=4)
             before = builder.fmul(kept, v.load(total_at, here), flags=_FLAGS)
             builder.store(builder.fadd(before, value, flags=_FLAGS), v.place(total_at, here), align=4)
             builder.store(v.less(value, builder.load(result)), result)

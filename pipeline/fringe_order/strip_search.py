@@ -51,8 +51,8 @@ def search_rows(
             rows a with ``a % REFRESH == refresh``; refresh < 0: nowhere.
         costs, total: (h * w * labels,) float32, written where there are several candidates; first, count: (h, w) int32,
             written.
-        place: (h, w) int32, written but for certain pixels: where the costs of a pixel's orders begin. Those of a strip
-            lie together, since few pixels of a lattice are searched.
+        place: (h, w) int32, where the costs of a pixel's orders begin, written where orders are searched. Those of a
+            strip lie together, since few pixels of a lattice are.
     """
     h, w = expected.shape
     height, width = other_descriptors.shape
