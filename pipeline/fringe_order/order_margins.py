@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import inline, serial
 from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import TILE
 
@@ -102,9 +102,10 @@ class Groups:
         _reject(rows, self._label, self._row, self._cell, self._across, self._cells, rejected, valid)
 
 
-@serial
-def _group_of(k: int, i: int, j: int, row: Any, cell: int, across: int, cells: int) -> int:
-    return k if row[k] < 0 else row.shape[0] + row[k] * cells + (i // cell) * across + j // cell
+@inline
+def _group_of(k: int, first: int, column: int, row: Any, cells: int) -> int:
+    """Group of a pixel of surface k; ``first``: of the first cell in its row of cells; ``column``: of its cell."""
+    return k if row[k] < 0 else first + row[k] * cells + column
 
 
 @parallel
@@ -113,18 +114,15 @@ def _group_pixels(
     out: Any,
 ) -> None:  # fmt: skip
     """Group of each pixel of a lattice row, ``out`` (h, w) int32, -1 without one; as :func:`_group_of`."""
-    i, surfaces = rows[a], row.shape[0]
+    i = rows[a]
     if i < 0:
         out[a, :] = -1
         return
-    first = surfaces + (i // cell) * across
+    first = row.shape[0] + (i // cell) * across
     for b in range(columns.shape[0]):
         j = columns[b]
         k = np.int64(label[i, j]) - 1 if j >= 0 else -1
-        group = k
-        if k >= 0 and row[k] >= 0:
-            group = first + row[k] * cells + column_cells[b]
-        out[a, b] = group
+        out[a, b] = _group_of(k, first, column_cells[b], row, cells) if k >= 0 else -1
 
 
 @serial
@@ -148,9 +146,10 @@ def _choose(group: Any, most: int, count: Any, left: Any, out: Any) -> int:
 
 @parallel
 def _reject(i: int, label: Any, row: Any, cell: int, across: int, cells: int, rejected: Any, valid: Any) -> None:
+    first = row.shape[0] + (i // cell) * across
     for j in range(label.shape[1]):
         if valid[i, j] != 0 and label[i, j] != 0:
-            k = _group_of(np.int64(label[i, j]) - 1, i, j, row, cell, across, cells)
+            k = _group_of(np.int64(label[i, j]) - 1, first, j // cell, row, cells)
             valid[i, j] = np.uint8(not rejected[k])
 
 
