@@ -49,8 +49,11 @@ def units_of_row(re: Any, im: Any) -> None:
 
 
 @serial
-def corrected_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out: Any) -> None:
-    """Corrected design (a, p, q) of every column's colour about row y, in even and odd rows, out (6, W or more)."""
+def corrected_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out: Any, margin: int) -> None:
+    """Corrected design (a, p, q) of every column's colour about row y, in even and odd rows, out (6, margin + W or more).
+
+    ``margin`` is even; columns beyond the image have the corrections of its ends.
+    """
     last = table.shape[2] - 1
     i = y // step
     g = np.float32((y - i * step) / step)
@@ -59,7 +62,7 @@ def corrected_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out:
     for k in range(6):
         part = k % 3
         for j in range(out.shape[1]):
-            color, x = mosaic[k // 3, j & 1], min(j, last)
+            color, x = mosaic[k // 3, j & 1], min(max(j - margin, 0), last)
             if part == 0:
                 out[k, j] = rows[color, 0]
             else:
@@ -72,16 +75,17 @@ def corrected_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out:
 
 
 @serial
-def correct_design(table: Any, step: int, y: int, design: Any) -> None:
-    """Correct the design (3, W or more) of the columns of row y."""
+def correct_design(table: Any, step: int, y: int, design: Any, margin: int) -> None:
+    """Correct the design (3, margin + W or more) of the columns of row y."""
     i = y // step
     g = np.float32((y - i * step) / step)
     f = np.float32(1.0) - g
     t, o = table[i], table[i + 1]
     for j in range(t.shape[1]):
-        a, p, q = design[0, j], design[1, j], design[2, j]
+        x = j + margin
+        a, p, q = design[0, x], design[1, x], design[2, x]
         for m in range(2):
-            design[1 + m, j] = (
+            design[1 + m, x] = (
                 a * (f * t[m, j] + g * o[m, j])
                 + p * (f * t[2 + m, j] + g * o[2 + m, j])
                 + q * (f * t[4 + m, j] + g * o[4 + m, j])

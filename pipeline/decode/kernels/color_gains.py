@@ -210,7 +210,10 @@ def design_of(mix: Any, light: Any, gains: Any, channel: int, j: int) -> tuple[A
 
 
 @serial
-def design_of_row(even: int, odd: int, mix: Any, light: Any, gains: Any, start: int, end: int, out: Any) -> None:
-    """Design of some columns of a row of a mosaic, out (3, W or more); even, odd: channels of its columns."""
+def design_of_row(
+    even: int, odd: int, mix: Any, light: Any, gains: Any, start: int, end: int, out: Any, margin: int
+) -> None:
+    """Design of some columns of a row of a mosaic, out (3, margin + W or more); even, odd: channels of its columns."""
     for j in range(start, end):
-        out[0, j], out[1, j], out[2, j] = design_of(mix, light, gains, odd if j & 1 else even, j)
+        x = j + margin
+        out[0, x], out[1, x], out[2, x] = design_of(mix, light, gains, odd if j & 1 else even, j)

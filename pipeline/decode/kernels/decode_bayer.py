@@ -21,6 +21,7 @@ from pipeline.decode.kernels.decode_rgb import BANDS
 from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
 from pipeline.decode.kernels.local_normalisation import balance_of_row, normalised_row
 from pipeline.decode.kernels.mosaic_fit import (
+    AGREEING,
     EIGHTHS,
     MOSAIC_SLOTS,
     add_window_row,
@@ -33,11 +34,17 @@ from pipeline.decode.kernels.mosaic_fit import (
 from pipeline.decode.kernels.normal_equations import IM, MEAN, RE, VARIANCE, solve
 from pipeline.decode.kernels.row_output import angles_of_row, copy_row, counts_of_row, describe_row, row_stride
 from pipeline.decode.kernels.three_step import levels_of_row
+from pipeline.decode.kernels.window_fit import continue_ends, continue_row
 from pipeline.decode.packed_phasor import PHASOR_SCALE
 from pipeline.decode.pixel_descriptor import complete_row, normalised_phase_row
 
+REACH, RING = 2, 5  # of a window
 COLORED = 1.7
 """Factor of the variance on strong colours, whose first guess is noisier: without it errors were 1.2 times sigma."""
+
+AT_END, BESIDE_END = 2.0, 1.2
+"""Factors of the variance of the image's outermost pixels and, in a row, of the next ones: their windows are cut, and
+the error of the phase's step, taken from the first guess, does not cancel between both halves (measured)."""
 
 
 @serial
@@ -88,6 +95,25 @@ def _widen_colored(own: Any, plain: Any, variance: Any) -> None:
         variance[j] *= factor if abs(own[j] - plain[j]) > least else one
 
 
+@serial
+def _widen_ends(variance: Any, last: bool) -> None:
+    """Raise the variance at both ends of a row (n,); ``last``: the row is the image's first or last."""
+    most, more = np.float32(AT_END), np.float32(BESIDE_END)
+    if last:
+        for j in range(variance.shape[0]):
+            variance[j] *= most
+    for j, factor in ((0, most), (1, more)):
+        variance[j] *= factor
+        variance[variance.shape[0] - 1 - j] *= factor
+
+
+@serial
+def _continue_row(units: Any, row: int, inwards: int) -> None:
+    """Unit phasors of a row at the image's end, or beyond, from the two rows next to it."""
+    a, b, c = (row + inwards) % RING, (row + 2 * inwards) % RING, row % RING
+    continue_row(units[a], units[RING + a], units[b], units[RING + b], units[c], units[RING + c])
+
+
 @parallel
 def decode_bayer(
     band: int, image: Any, mosaic: Any, rows: Any, black: Any, solution: Any, mix: Any, light: Any, unmix: Any,
@@ -101,18 +127,17 @@ def decode_bayer(
     ``rows`` (3, 3) is the design of the channels; all else as in :func:`pipeline.decode.kernels.decode_rgb.decode_rgb`.
     """
     height, width = mean.shape
-    ring, edge = 2 * radius + 1, radius + 1
-    inf, zero = np.float32(np.inf), np.float32(0.0)
-    # A tile may extend beyond the end of a row.
-    stride = row_stride(width + TILE + 4)
+    # A window is as long as that of radius 2, and at the image's end its weights are 0 beyond it. A tile may extend
+    # beyond the end of a row.
+    stride = row_stride(width + TILE + 2 * REACH)
     wide = row_stride(3 * width + 6 * along)
     low, high = band * height // BANDS, (band + 1) * height // BANDS
-    slab = np.zeros((8 * ring + 18, stride), np.float32)
+    slab = np.zeros((8 * RING + 18, stride), np.float32)
     levels, design = slab[0:3], slab[3:9]
     re, im, w = slab[9, :width], slab[10, :width], slab[11, :width]
-    balance, units, samples = slab[12:15], slab[15 : 15 + 2 * ring], slab[15 + 2 * ring : 15 + 4 * ring]
-    plain, gains = slab[15 + 4 * ring : 15 + 5 * ring], slab[15 + 5 * ring : 18 + 5 * ring]
-    designs, own_design = slab[18 + 5 * ring :], np.zeros(ring, np.bool_)  # of rows with strong colours
+    balance, units, samples = slab[12:15], slab[15 : 15 + 2 * RING], slab[15 + 2 * RING : 15 + 4 * RING]
+    plain, gains = slab[15 + 4 * RING : 15 + 5 * RING], slab[15 + 5 * RING : 18 + 5 * RING]
+    designs, own_design = slab[18 + 5 * RING :], np.zeros(RING, np.bool_)  # of rows with strong colours
     boxes = np.zeros((2 + over, wide), np.uint16)
     once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
     shorts = np.zeros((10 + 2 * over, 2 * wide), np.uint16)
@@ -124,84 +149,94 @@ def decode_bayer(
     gains[:] = np.float32(1.0)
     blocks = (width + BLOCK - 1) // BLOCK
     flags, runs, n_runs = np.zeros(BLOCK * blocks + 16, np.uint8), np.zeros((blocks, 2), np.int32), 0
-    start = shared_row(max(low - radius, 0))
+    start = shared_row(max(low - REACH, 0))
     middle_row, entered = start - 1, start - over
-    for y in range(max(low - radius, 0), min(high + radius, height)):
-        guess = _first_guess(image, y, mosaic, halo, cache, cached_rows)
-        levels_of_row(guess, np.float32(1 / EIGHTHS), black, levels)
-        if middle_row < shared_row(y):
-            middle_row = shared_row(y)
-            while entered < middle_row + over - 1:
-                entered += 1
-                keep = 1 if entered > start else 0
-                entering, leaving = mirrored(entered, height), mirrored(entered - keep * over, height)
-                advance(_first_guess(image, entering, mosaic, halo, cache, cached_rows),
-                        _first_guess(image, leaving, mosaic, halo, cache, cached_rows), keep, drops[0],
-                        drops[1], once, before[(entered - start) % over], twice)  # fmt: skip
-            means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
-            balance_of_row(means, scale, black, unmix, balance)
-            n_runs = gains_of_row(balance, colored_from, width, flags, runs, n_runs, gains)
-        if low <= y < high:
-            normalised_row(levels, balance, unmix, ideal, re, im)
+    for y in range(max(low - REACH, 0), high + REACH):
+        k = y % RING
+        unit_re, unit_im = units[k, REACH : REACH + width], units[RING + k, REACH : REACH + width]
+        if y < height:
+            guess = _first_guess(image, y, mosaic, halo, cache, cached_rows)
+            levels_of_row(guess, np.float32(1 / EIGHTHS), black, levels)
+            if middle_row < shared_row(y):
+                middle_row = shared_row(y)
+                while entered < middle_row + over - 1:
+                    entered += 1
+                    keep = 1 if entered > start else 0
+                    entering, leaving = mirrored(entered, height), mirrored(entered - keep * over, height)
+                    advance(_first_guess(image, entering, mosaic, halo, cache, cached_rows),
+                            _first_guess(image, leaving, mosaic, halo, cache, cached_rows), keep, drops[0],
+                            drops[1], once, before[(entered - start) % over], twice)  # fmt: skip
+                means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
+                balance_of_row(means, scale, black, unmix, balance)
+                n_runs = gains_of_row(balance, colored_from, width, flags, runs, n_runs, gains)
+            if low <= y < high:
+                normalised_row(levels, balance, unmix, ideal, re, im)
+                if table_step > 0:
+                    correct_phasors(chromatic, table_step, y, re, im)
+                normalised_phase_row(re, im, descriptors[y])
+            rough_units(levels, solution, unit_re, unit_im, plain[k, :width])
+            own_design[k] = n_runs > 0
+            if n_runs > 0:
+                even, odd = mosaic[y & 1, 0], mosaic[y & 1, 1]
+                own = designs[3 * k : 3 * k + 3]
+                for column in range(own.shape[1]):
+                    for part in range(3):
+                        own[part, column] = rows[odd if column & 1 else even, part]
+                for run in range(n_runs):
+                    e, f = runs[run, 0], runs[run, 1]
+                    balanced_units(levels, gains, e, unmix, ideal, unit_re[e:f], unit_im[e:f], plain[k, e:f])
+                    design_of_row(even, odd, mix, light, gains, e, f, own, REACH)
+                if table_step > 0:
+                    correct_design(chromatic, table_step, y, own, REACH)
             if table_step > 0:
-                correct_phasors(chromatic, table_step, y, re, im)
-            normalised_phase_row(re, im, descriptors[y])
-        k = y % ring
-        rough_units(levels, solution, units[k, :width], units[ring + k, :width], plain[k, :width])
-        own_design[k] = n_runs > 0
-        if n_runs > 0:
-            even, odd, own = mosaic[y & 1, 0], mosaic[y & 1, 1], designs[3 * k : 3 * k + 3]
-            for column in range(own.shape[1]):
-                for part in range(3):
-                    own[part, column] = rows[odd if column & 1 else even, part]
-            for run in range(n_runs):
-                e, f = runs[run, 0], runs[run, 1]
-                balanced_units(levels, gains, e, unmix, ideal, units[k, e:f], units[ring + k, e:f],
-                               plain[k, e:f])  # fmt: skip
-                design_of_row(even, odd, mix, light, gains, e, f, own)
-            if table_step > 0:
-                correct_design(chromatic, table_step, y, own)
-        if table_step > 0:
-            correct_phasors(chromatic, table_step, y, units[k, :width], units[ring + k, :width])
-            units_of_row(units[k, :width], units[ring + k, :width])
-        n_saturated = samples_of_row(image[y], black[mosaic[y & 1, 0]], black[mosaic[y & 1, 1]], saturation,
-                                     samples[k], samples[ring + k])  # fmt: skip
-        if low <= y < high:
-            saturated[y] = n_saturated
-            if y < edge or y >= height - edge:
-                phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
-                counts_of_row(plain[k, :width], mean[y])
-                complete_row(phase[y], valid[y], mean[y], descriptors[y])
-        i = y - radius
-        if table_step > 0 and low <= i and (i % DESIGN_ROWS == 0 or i == low):
-            corrected_design(mosaic, rows, chromatic, table_step, i - i % DESIGN_ROWS + DESIGN_ROWS // 2, design)
-        if low <= i and edge <= i < height - edge:
-            p, q, r = (i - 1) % ring, i % ring, (i + 1) % ring
-            for o in range(edge, width - edge, TILE):
-                e = o + TILE
-                start_tile(tile, units[p, o:e], units[ring + p, o:e], units[q, o - 1 : e - 1],
-                           units[ring + q, o - 1 : e - 1], units[q, o:e], units[ring + q, o:e],
-                           units[q, o + 1 : e + 1], units[ring + q, o + 1 : e + 1],
-                           units[r, o:e], units[ring + r, o:e], nominal, radius)  # fmt: skip
-                for a in range(-radius, radius + 1):
-                    k, d, f, g = (i + a) % ring, 3 * ((i + a) & 1), o - 2, e + 2
-                    weight, now = weights[abs(a)], design[d : d + 3]
-                    if own_design[k]:
-                        now = designs[3 * k : 3 * k + 3]
-                    add_window_row(tile, units[k, f:g], units[ring + k, f:g], samples[k, f:g],
-                                   samples[ring + k, f:g], now[0, f:g], now[1, f:g], now[2, f:g],
-                                   weight * weights[0], weight * weights[1], weight * weights[2], floor,
-                                   gain)  # fmt: skip
-                solve(tile)
-                e = min(e, width - edge)
-                _write_tile(tile, units[q, o:e], units[ring + q, o:e], re[o:e], im[o:e], plain[q, o:e], w[o:e])
-            if own_design[q]:
-                _widen_colored(designs[3 * q], design[3 * (i & 1)], w)
-            for j in range(edge):
-                for x in (j, width - 1 - j):
-                    re[x], im[x], w[x] = zero, zero, inf
-            copy_row(w, variance[i])
-            counts_of_row(plain[q, :width], mean[i])
-            angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
-            describe_row(re, im, w, min_modulation, modulation[i], valid[i])
-            complete_row(phase[i], valid[i], mean[i], descriptors[i])
+                correct_phasors(chromatic, table_step, y, unit_re, unit_im)
+                units_of_row(unit_re, unit_im)
+            # The first guess of the outermost pixels, from pixels on one side of them, is about another place.
+            continue_ends(units[k], units[RING + k], REACH + 1, REACH + width - 2, 2, nominal[0], nominal[1],
+                          np.float32(AGREEING))  # fmt: skip
+            count = samples_of_row(image[y], black[mosaic[y & 1, 0]], black[mosaic[y & 1, 1]], saturation,
+                                   samples[k, REACH:], samples[RING + k, REACH:])  # fmt: skip
+            if low <= y < high:
+                saturated[y] = count
+        else:
+            samples[k::RING] = np.float32(0.0)
+        if y == 2:
+            _continue_row(units, 0, 1)
+            _continue_row(units, -1, 1)
+        if (y == height - 1) | (y == height):
+            _continue_row(units, y, -1)
+        i = y - REACH
+        if low > i:
+            continue
+        if table_step > 0 and (i % DESIGN_ROWS == 0 or i == low):
+            middle_of_rows = i - i % DESIGN_ROWS + DESIGN_ROWS // 2
+            corrected_design(mosaic, rows, chromatic, table_step, middle_of_rows, design, REACH)
+        p, q, r = (i - 1) % RING, i % RING, (i + 1) % RING
+        for o in range(0, width, TILE):
+            f, e = o + REACH, o + REACH + TILE
+            start_tile(tile, units[p, f:e], units[RING + p, f:e], units[q, f - 1 : e - 1],
+                       units[RING + q, f - 1 : e - 1], units[q, f:e], units[RING + q, f:e],
+                       units[q, f + 1 : e + 1], units[RING + q, f + 1 : e + 1],
+                       units[r, f:e], units[RING + r, f:e], nominal, radius)  # fmt: skip
+            f, g = o, o + TILE + 2 * REACH
+            for a in range(-radius, radius + 1):
+                k, d = (i + a) % RING, 3 * ((i + a) & 1)
+                weight, now = weights[abs(a)], design[d : d + 3]
+                if own_design[k]:
+                    now = designs[3 * k : 3 * k + 3]
+                add_window_row(tile, units[k, f:g], units[RING + k, f:g], samples[k, f:g],
+                               samples[RING + k, f:g], now[0, f:g], now[1, f:g], now[2, f:g],
+                               weight * weights[0], weight * weights[1], weight * weights[2], floor,
+                               gain)  # fmt: skip
+            solve(tile)
+            e = min(o + TILE, width)
+            _write_tile(tile, units[q, o + REACH :], units[RING + q, o + REACH :], re[o:e], im[o:e], plain[q, o:e],
+                        w[o:e])  # fmt: skip
+        if own_design[q]:
+            _widen_colored(designs[3 * q, REACH:], design[3 * (i & 1), REACH:], w)
+        _widen_ends(w, (i == 0) | (i == height - 1))
+        copy_row(w, variance[i])
+        counts_of_row(plain[q, :width], mean[i])
+        angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
+        describe_row(re, im, w, min_modulation, modulation[i], valid[i])
+        complete_row(phase[i], valid[i], mean[i], descriptors[i])

@@ -24,10 +24,10 @@ SATURATED_SLOTS = _UNITS + 26
 
 
 @serial
-def saturated_of_row(raw: Any, saturation: float, low: int, high: int, found: Any) -> int:
-    """Columns of [low, high) with a saturated sample into ``found``; returns how many; raw (3 W,) is interleaved."""
+def saturated_of_row(raw: Any, saturation: float, found: Any) -> int:
+    """Columns with a saturated sample into ``found`` (W + 1,); returns how many; raw (3 W,) is interleaved."""
     n = 0
-    for j in range(low, high):
+    for j in range(raw.shape[0] // 3):
         found[n] = j
         n += (raw[3 * j] >= saturation) | (raw[3 * j + 1] >= saturation) | (raw[3 * j + 2] >= saturation)
     return n
@@ -101,33 +101,36 @@ def fit_saturated(
     """Fit up to TILE pixels of row ``i``; results into those elements of re, im, mean, variance (W,).
 
     Args:
-        image: (H, 3 W) uint8; columns: (n,) of the pixels, ``radius`` or more (and at least one) from the border.
+        image: (H, 3 W) uint8; columns: (n,) of the pixels.
         nominal: (4,) expected steps; weights: (3,) by distance.
         mix, light, gains: of :func:`pipeline.decode.kernels.color_gains.design_of`.
-        units: unit phasors' re, im of the rows above, at and below the pixels.
+        units: unit phasors' re, im of the rows above, at and below the pixels, (W + 2 max(radius, 1) or more,): a
+            window is not cut at the ends of the rows.
     """
     above_re, above_im, row_re, row_im, below_re, below_im = units
-    n = columns.shape[0]
+    n, height, width = columns.shape[0], image.shape[0], image.shape[1] // 3
     for j in range(n):
-        x = columns[j]
+        x = columns[j] + max(radius, 1)
         tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j] = row_re[x], row_im[x]
         tile[(_UNITS + 2) * TILE + j], tile[(_UNITS + 3) * TILE + j] = row_re[x - 1], row_im[x - 1]
         tile[(_UNITS + 4) * TILE + j], tile[(_UNITS + 5) * TILE + j] = row_re[x + 1], row_im[x + 1]
         tile[(_UNITS + 6) * TILE + j], tile[(_UNITS + 7) * TILE + j] = above_re[x], above_im[x]
         tile[(_UNITS + 8) * TILE + j], tile[(_UNITS + 9) * TILE + j] = below_re[x], below_im[x]
         for k in range(3):
-            a, p, q = design_of(mix, light, gains, k, x)
+            a, p, q = design_of(mix, light, gains, k, columns[j])
             o = (_DESIGN + 3 * k) * TILE + j
             tile[o], tile[o + TILE], tile[o + 2 * TILE] = a, p, q
     _steps(tile, nominal)
     clear(tile)
-    for a in range(-radius, radius + 1):
+    for a in range(max(-radius, -i), min(radius + 1, height - i)):
         raw = image[i + a]
         for b in range(-radius, radius + 1):
             _turn(tile, a, b)
             for k in range(3):
                 for j in range(n):
-                    tile[_RAW * TILE + j] = np.float32(raw[3 * (columns[j] + b) + k])
+                    x = columns[j] + b
+                    inside = (x >= 0) & (x < width)
+                    tile[_RAW * TILE + j] = np.float32(raw[3 * x + k]) if inside else np.float32(saturation)
                 _add_channel(tile, k, black[k], saturation, weights[abs(a)] * weights[abs(b)], floor, gain)
     solve(tile)
     for j in range(n):

@@ -3,7 +3,7 @@
 Within the window the phase is a plane. A neighbour one pixel to the right is one step of the phase ahead: rotated back
 by the phasor of that step it equals the centre, and the weighted mean of all has less noise without blurring the
 fringes. Gaussian weights and the rotation are separable: first along the rows, then across them. Neighbours whose phase
-does not continue the plane (another surface), and saturated ones, have weight 0.
+does not continue the plane (another surface), saturated ones, and those beyond the image's end have weight 0.
 """
 
 from __future__ import annotations
@@ -58,6 +58,29 @@ def step_of(
     )
     both = dot >= np.float32(CONSISTENT)
     return c, s, one if both | (not forward) else zero, one if both | forward else zero
+
+
+@serial
+def continue_ends(
+    re: Any, im: Any, first: int, last: int, count: int, nominal_c: float, nominal_s: float, agreeing: float
+) -> None:
+    """Unit phasors of ``count`` pixels before ``first`` and after ``last``: the plane of the three pixels next to them."""
+    for end, inwards, s0 in ((first, 1, nominal_s), (last, -1, -nominal_s)):
+        a, b = end + inwards, end + 2 * inwards
+        c, s, _, _ = step_of(re[end], im[end], re[a], im[a], re[b], im[b], nominal_c, s0, agreeing)
+        for k in range(count):
+            here = end - k * inwards
+            x, y = re[here], im[here]
+            re[here - inwards], im[here - inwards] = x * c + y * s, y * c - x * s
+
+
+@serial
+def continue_row(unit_re0: Any, unit_im0: Any, unit_re1: Any, unit_im1: Any, re: Any, im: Any) -> None:
+    """Unit phasors (n,) of the row beyond row 0: the plane of that row and of row 1 on its other side."""
+    for j in range(re.shape[0]):
+        x, y, p, q = unit_re0[j], unit_im0[j], unit_re1[j], unit_im1[j]
+        c, s = x * p + y * q, y * p - x * q
+        re[j], im[j] = x * c - y * s, y * c + x * s
 
 
 @serial

@@ -97,12 +97,12 @@ def _sums(
 
 
 @serial
-def _own_loss(valid: Any, mean: Any, displaced: int, per: Any, losses: Any) -> tuple[Any, int]:
-    """Sum of the losses between the pixels of a run that are so far apart, and their number."""
+def _own_loss(valid: Any, mean: Any, valid0: Any, mean0: Any, per: Any, losses: Any) -> tuple[Any, int]:
+    """Sum of the losses between pixels (n,) and others of the same surface, and how many are both known."""
     loss, pairs = np.int64(0), 0
-    for j in range(displaced, valid.shape[0]):
-        if valid[j] != 0 and valid[j - displaced] != 0:
-            a, b = np.float32(mean[j]), np.float32(mean[j - displaced])
+    for j in range(valid.shape[0]):
+        if valid[j] != 0 and valid0[j] != 0:
+            a, b = np.float32(mean[j]), np.float32(mean0[j])
             loss += losses[np.int32(min(per * abs(a - b) / (a + b + np.float32(2.0)), np.float32(254.0)))]
             pairs += 1
     return loss, pairs
@@ -113,7 +113,11 @@ def _sums_of_small(
     part: int, valid: Any, first: Any, second: Any, mean: Any, displaced: int, inset: int, per: Any, losses: Any,
     start: Any, stop: Any, count: Any, row: Any, surface: Any, size: Any, large: int, total: Any,
 ) -> None:  # fmt: skip
-    """The other sums of surfaces below a size: of residuals inside, and of losses of their own texture."""
+    """The other sums of surfaces below a size: of residuals inside, and of losses of their own texture.
+
+    Narrow runs have no pixels so far apart. At the image's side, where strips that one camera sees alone are frequent,
+    they are compared with those as many rows above.
+    """
     height = valid.shape[0]
     parts = total.shape[1]
     for i in range(part * height // parts, (part + 1) * height // parts):
@@ -127,7 +131,13 @@ def _sums_of_small(
                     a, b = np.int64(first[i, j]), np.int64(second[i, j])
                     squares += min(a * a, b * b)
                     pixels += 1
-            loss, pairs = _own_loss(valid[i, begin:end], mean[i, begin:end], displaced, per, losses)
+            wide, at_side = end - begin > displaced, (begin == 0) | (end == valid.shape[1])
+            up, back = (0, displaced) if wide else (displaced if at_side else 0, 0)
+            loss, pairs = np.int64(0), 0
+            if up + back > 0 and i >= up:
+                loss, pairs = _own_loss(valid[i, begin + back : end], mean[i, begin + back : end],
+                                        valid[i - up, begin : end - back], mean[i - up, begin : end - back], per,
+                                        losses)  # fmt: skip
             total[_SQUARES_INSIDE, part, k] += squares
             total[_PIXELS_INSIDE, part, k] += pixels
             total[_OWN_LOSS, part, k] += loss

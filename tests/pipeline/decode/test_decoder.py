@@ -163,6 +163,64 @@ def test_the_predicted_variance_is_the_scatter(radius, encoding):
     assert 0.9 < predicted / scatter < 1.12
 
 
+def ends_of(plane):
+    """The outermost pixels of images (..., H, W), and the next ones, each along a row or a column."""
+    return {
+        f"{name} {k}": part[..., 12:-12]
+        for k in (0, 1)
+        for name, part in (
+            ("left", plane[..., :, k]), ("right", plane[..., :, -1 - k]),
+            ("top", plane[..., k, :]), ("bottom", plane[..., -1 - k, :]),
+        )
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("encoding", "radius"),
+    [("rgb8", 0), ("rgb8", 1), ("rgb8", 2), ("bayer_rggb8", 1), ("bayer_rggb8", 2), ("bayer_gbrg8", 2)],
+)
+@pytest.mark.parametrize(("period", "slant"), [(11.0, 0.0), (12.5, 0.05), (14.0, -0.04)])
+def test_the_image_s_last_pixels_have_a_phase_and_its_variance(encoding, radius, period, slant):
+    v, u = np.mgrid[0:200, 0:240]
+    phase = 2 * np.pi / period * u + slant * v
+    dec = decoder(encoding, window_radius=radius, read_noise=2.0)
+    errors, variances = [], []
+    for seed in range(4):
+        rgb = image(phase, noise=1.98, seed=seed)
+        found = dec.decode(rgb if encoding == "rgb8" else mosaic(rgb, encoding))
+        assert found.valid.all()
+        errors.append(wrapped(found.phase - phase))
+        variances.append(found.variance.copy())
+    errors, variances = ends_of(np.stack(errors)), ends_of(np.stack(variances))
+    for name, error in errors.items():
+        ratio = np.sqrt(np.mean(error**2 / variances[name]))
+        assert 0.75 < ratio < 1.45, name
+
+
+@pytest.mark.parametrize("shape", [(24, 40), (13, 17), (3, 9)])
+@pytest.mark.parametrize("radius", [1, 2])
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
+def test_small_images_are_decoded_up_to_their_ends(shape, radius, encoding):
+    v, u = np.mgrid[0 : shape[0], 0 : shape[1]]
+    phase = 2 * np.pi / 11 * u + 0.02 * v
+    rgb = image(phase)
+    found = decoder(encoding, window_radius=radius).decode(rgb if encoding == "rgb8" else mosaic(rgb, encoding))
+    assert found.valid.all()
+    assert np.abs(wrapped(found.phase - phase)).max() < 0.05
+
+
+def test_saturated_pixels_at_the_image_s_ends_are_fitted():
+    phase = smooth_phase((40, 64))
+    bright = image(phase, mean=150.0, amplitude=110.0, ambient=10.0, color=ColorModel())
+    dec = Decoder(ColorModel(), SHIFTS, mosaic=None, slopes=(2 * np.pi / 11, 0.0), settings=Settings())
+    found = dec.decode(bright)
+    ends = np.ones(phase.shape, bool)
+    ends[1:-1, 1:-1] = False
+    here = ends & (bright >= 254).any(axis=2) & np.isfinite(found.variance)
+    assert here.sum() > 0.3 * ends.sum()
+    assert np.abs(wrapped(found.phase - phase))[here].max() < 0.1
+
+
 def test_saturated_samples_are_excluded_from_the_fit():
     phase = smooth_phase()
     bright = image(phase, mean=150.0, amplitude=110.0, ambient=10.0, color=ColorModel())
