@@ -8,6 +8,9 @@ columns on accepted points.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,6 +38,12 @@ COMPARED_WITHIN, _MOST_MINIMA = 0.15, 4
 how many offsets are compared."""
 PER_TEXTURE = 0.1
 """What a texture difference e times as large counts in units of the mean cost."""
+NOISE_COSTS = (0.003, 0.006, 0.012)
+"""Mean costs that noise alone gives a pixel with its right order."""
+_SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
+_CLEAR_GAIN, _CLEAR_RATIO, _NEAR = 0.03, 1.5, 0.2
+"""Least gain of an offset that replaces the one with the least mean cost, how many times the gain of that one, and up to
+which distance, columns, gains count as that one's."""
 _SAME, _FARTHER, _MOST_OTHERS = 0.1, 0.2, 2
 """Distance up to which offsets are alike, columns; how much farther from 0 another one may be, as projectors drift
 little; how many others are compared."""
@@ -65,6 +74,46 @@ def improbability(offsets: F64, with_margin: F64, inside: F64) -> F64:
     return np.asarray((with_margin + few + PER_OUTSIDE * outside).round(6), dtype=np.float64)
 
 
+class Gains(NamedTuple):
+    """Gain in log likelihood per pixel by assuming, at each offset, that some pixels have their right order.
+
+    Of these the costs are those of noise: exponential with one of :data:`NOISE_COSTS`. The costs of the others are
+    distributed as at most offsets. A wall behind the volume lowers the mean cost of a wrong offset, where its phases
+    agree roughly with orders inside; only at the right one do the costs of some pixels fall to those of noise.
+
+    Args:
+        offsets: (n,) columns; gain: (n,).
+    """
+
+    offsets: F64
+    gain: F64
+
+    @classmethod
+    def of(cls, offsets: F64, costs: Sequence[NDArray[np.float32]]) -> Gains:
+        """From the least costs of the pixels at each offset."""
+        edges = np.concatenate([[0.0], np.geomspace(1e-3, 0.5, 40), [np.inf]])
+        counts = np.stack([np.histogram(each, edges)[0] for each in costs]).astype(np.float64)
+        share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+        usual = np.median(share, axis=0) + 1e-4
+        usual /= usual.sum()
+        gain = np.zeros(len(offsets))
+        for scale in NOISE_COSTS:
+            ratio = -np.diff(np.exp(-edges / scale)) / usual
+            for part in _SHARES:
+                gain = np.maximum(gain, share @ np.log(1 - part + part * ratio))
+        return cls(offsets, gain)
+
+    def near(self, offset: float) -> float:
+        """The largest gain near an offset."""
+        return float(self.gain[np.abs(self.offsets - offset) <= _NEAR].max(initial=0.0))
+
+    def clear_offset(self, chosen: float) -> float:
+        """The offset at which clearly more pixels agree up to noise than near the chosen one, if there is one."""
+        best = int(np.argmax(self.gain))
+        clearly = self.gain[best] > max(_CLEAR_GAIN, _CLEAR_RATIO * self.near(chosen))
+        return float(self.offsets[best]) if clearly else chosen
+
+
 def minima(offsets: F64, values: F64) -> list[int]:
     """Numbers of the offsets that may be the right one, the most probable first: minima not far above the least one.
 
@@ -79,7 +128,7 @@ def minima(offsets: F64, values: F64) -> list[int]:
 
 
 def other_shifts(
-    offsets: F64, with_margin: F64, correction: Correction, cost: float, middle: tuple[float, float]
+    offsets: F64, with_margin: F64, gains: Gains, correction: Correction, cost: float, middle: tuple[float, float]
 ) -> F64:
     """Changes (n,) of the correction's offset that explain the pair about as well, and halves of them; columns.
 
@@ -88,13 +137,16 @@ def other_shifts(
 
     Args:
         offsets, with_margin: as of :func:`improbability`; cost: the same of the correction.
+        gains: those clearly smaller than that of the correction do not explain the pair.
         middle: projector coordinates along and across the fringes where the correction is compared with an offset.
     """
     here = float(correction @ (1.0, *middle))
     probable = with_margin + PER_COLUMN * np.abs(offsets)
     limit = min(float(probable.min()), cost + PER_COLUMN * abs(here)) + CLEARLY_MORE
     small = np.abs(offsets) <= abs(here) + _FARTHER
-    others = np.flatnonzero((probable <= limit) & small & (np.abs(offsets - here) >= _SAME))
+    least = gains.near(here) / _CLEAR_RATIO if gains.near(here) >= _CLEAR_GAIN else 0.0
+    agreeing = np.array([gains.near(offset) >= least for offset in offsets])
+    others = np.flatnonzero((probable <= limit) & small & agreeing & (np.abs(offsets - here) >= _SAME))
     shifts = offsets[others[np.argsort(probable[others], kind="stable")][:_MOST_OTHERS]] - here
     return np.asarray(np.concatenate([shifts, shifts / 2]), dtype=np.float64)
 

@@ -28,6 +28,8 @@ F64 = NDArray[np.float64]
 _RESPONSE_ROUNDS, _LEAST_POINTS = 3, 1000
 _STRIDE, _SCAN_STRIDE = 8, 16
 """Distance of the lattice rows whose costs are averaged, of the search and of the scan."""
+_HALF_STEP = 0.125
+"""Columns from an offset of the search to one between it and the next: costs fall to those of noise within 0.1 only."""
 _DISPLACEMENTS_PX = (1, 2, 3, 5, 7, 10, 14, 20)
 
 
@@ -112,18 +114,21 @@ def scan_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> ColumnSc
 def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> MatchResult:
     """Find the projector's column correction from a pair and keep it; returns the match, valid until the next."""
     made.scan = scan_columns(made, left, right)
-    inside = View.of(made.calibration, made.pattern, made.volume, made.settings)
+    inside = OrderSearch(View.of(made.calibration, made.pattern, made.volume, made.settings))
     offsets = column_correction.offsets_to_try(made.settings.self_calibration_range)
+    between = offsets[:-1] + _HALF_STEP
 
-    def mean_cost(search: OrderSearch, correction: Correction) -> float:
-        return mean_of(search.least_costs(left, right, correction, stride=_STRIDE))
+    def costs(search: OrderSearch, offset: float) -> NDArray[np.float32]:
+        return search.least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=_STRIDE)
 
-    with_margin, within = (
-        np.array([mean_cost(search, np.array([offset, 0.0, 0.0])) for offset in offsets])
-        for search in (made.searches[0], OrderSearch(inside))
+    all_costs = [costs(made.searches[0], each) for each in (*offsets, *between)]
+    with_margin = np.array([mean_of(each) for each in all_costs[: len(offsets)]])
+    values = column_correction.improbability(
+        offsets, with_margin, np.array([mean_of(costs(inside, each)) for each in offsets])
     )
-    values = column_correction.improbability(offsets, with_margin, within)
-    made.correction = np.array([_best_of_minima(made, left, right, offsets, values), 0.0, 0.0])
+    gains = column_correction.Gains.of(np.concatenate([offsets, between]), all_costs)
+    chosen = gains.clear_offset(_best_of_minima(made, left, right, offsets, values))
+    made.correction = np.array([chosen, 0.0, 0.0])
     made.calibrated = True
     made.clear_prior()
     match = made.match(left, right)
@@ -132,9 +137,9 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
         limit = made.settings.self_calibration_range + 1.0
         made.correction = column_correction.affine_fit(along, across, difference, limit=limit)
     middle = (float(np.median(along)), float(np.median(across))) if len(along) else (0.0, 0.0)
-    cost = mean_cost(made.searches[0], made.correction)
+    cost = mean_of(made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE))
     made.clear_prior()
-    made.other_shifts = column_correction.other_shifts(offsets, with_margin, made.correction, cost, middle)
+    made.other_shifts = column_correction.other_shifts(offsets, with_margin, gains, made.correction, cost, middle)
     return match
 
 

@@ -41,13 +41,15 @@ the search for the best order; the second where the projector's phase does not h
 LEAST_RATIO, LEAST_BLIND = -1.0, 1.5
 """Logarithm of the likelihood ratio below which a surface is rejected; the second where the projector's phase does not
 help: there wrong orders are as probable as right ones before texture is considered."""
+LEAST_AT_SIDE = 3.5
+"""The same of narrow surfaces at the image's left or right side, where strips that one camera sees alone are frequent."""
 DISPLACED, INSET = 10, 6
 """Pixels of the image between which a surface's own texture is compared, and from the ends of its rows to its inside,
 where no window of the phase reaches its border."""
-_LEAST_INSIDE, _LEAST_PAIRS, _DISTINCT = 0.25, 0.5, 0.5
+_LEAST_INSIDE, _LEAST_PAIRS, _DISTINCT = 0.25, 0.4, 0.5
 """Share of a surface's pixels that must be inside, or be compared with others; the latter is not asked where the
 weight of the projector's phase is below the third."""
-_SQUARES, _LOSS, _PIXELS, _SQUARES_INSIDE, _PIXELS_INSIDE, _OWN_LOSS, _PAIRS = range(7)
+_SQUARES, _LOSS, _PIXELS, _SQUARES_INSIDE, _PIXELS_INSIDE, _OWN_LOSS, _PAIRS, _AT_SIDE = range(8)
 
 
 class Figures(NamedTuple):
@@ -59,6 +61,7 @@ class Figures(NamedTuple):
             has no inside.
         own_loss: mean loss of the deviations in the left image between pixels :data:`DISPLACED` apart; NaN for
             surfaces too narrow for it.
+        at_side: bool, most of its rows are narrower than that and end at the image's left or right side.
     """
 
     pixels: Any
@@ -66,6 +69,7 @@ class Figures(NamedTuple):
     rms: Any
     rms_inside: Any
     own_loss: Any
+    at_side: Any
 
 
 @parallel
@@ -73,7 +77,7 @@ def _sums(
     part: int, valid: Any, first: Any, second: Any, deviation: Any, losses: Any, start: Any, stop: Any, count: Any, row:
     Any, surface: Any, size: Any, large: int, total: Any,
 ) -> None:  # fmt: skip
-    """Sums of squared residuals and of losses, and pixels, of surfaces, (7, PARTS, surfaces) int64.
+    """Sums of squared residuals and of losses, and pixels, of surfaces, (8, PARTS, surfaces) int64.
 
     Of surfaces from a size on some rows are enough.
     """
@@ -115,8 +119,7 @@ def _sums_of_small(
 ) -> None:  # fmt: skip
     """The other sums of surfaces below a size: of residuals inside, and of losses of their own texture.
 
-    Narrow runs have no pixels so far apart. At the image's side, where strips that one camera sees alone are frequent,
-    they are compared with those as many rows above.
+    Narrow runs have no pixels so far apart. At the image's side they are compared with those as many rows above.
     """
     height = valid.shape[0]
     parts = total.shape[1]
@@ -131,8 +134,9 @@ def _sums_of_small(
                     a, b = np.int64(first[i, j]), np.int64(second[i, j])
                     squares += min(a * a, b * b)
                     pixels += 1
-            wide, at_side = end - begin > displaced, (begin == 0) | (end == valid.shape[1])
-            up, back = (0, displaced) if wide else (displaced if at_side else 0, 0)
+            wide = end - begin > displaced
+            at_side = not wide and (begin == 0 or end == valid.shape[1])
+            up, back = displaced if at_side else 0, displaced if wide else 0
             loss, pairs = np.int64(0), 0
             if up + back > 0 and i >= up:
                 loss, pairs = _own_loss(valid[i, begin + back : end], mean[i, begin + back : end],
@@ -142,6 +146,7 @@ def _sums_of_small(
             total[_PIXELS_INSIDE, part, k] += pixels
             total[_OWN_LOSS, part, k] += loss
             total[_PAIRS, part, k] += pairs
+            total[_AT_SIDE, part, k] += end - begin if at_side else 0
 
 
 @parallel
@@ -170,7 +175,7 @@ def component_test(
         stride: pixels of the image from one of these pixels to the next.
     """
     f = surfaces
-    total = np.zeros((7, PARTS, len(f.sizes)), np.int64)
+    total = np.zeros((8, PARTS, len(f.sizes)), np.int64)
     runs = f.start, f.stop, f.count, f.first, f.surface, f.sizes, large
     residuals = match.residual_normalised, match.residual
     _sums(PARTS, valid, *residuals, deviation, _LOSSES, *runs, total)
@@ -178,14 +183,14 @@ def component_test(
     displaced, inset = max(round(DISPLACED / stride), 1), round(INSET / stride)
     _sums_of_small(PARTS, valid, *residuals, mean, displaced, inset, per, _LOSSES, *runs, total)
     figures = _figures(total.sum(axis=1).astype(np.float64), 0.0 if phase_weight < _DISTINCT else _LEAST_PAIRS)
-    least = LEAST_BLIND + phase_weight * (LEAST_RATIO - LEAST_BLIND)
+    least = np.where(figures.at_side, LEAST_AT_SIDE, LEAST_BLIND + phase_weight * (LEAST_RATIO - LEAST_BLIND))
     ratio = log_likelihood_ratio(figures, scale, phase_weight)
     rejected = (figures.rms > largest_rms) | ((f.sizes < large) & (ratio < least))
     reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
 
 
 def _figures(total: NDArray[np.float64], least_pairs: float) -> Figures:
-    """Figures from sums (7, n)."""
+    """Figures from sums (8, n)."""
     n = np.maximum(total[_PIXELS], 1)
     inside, pairs = total[_PIXELS_INSIDE], total[_PAIRS]
     rms_inside = RESIDUAL_STEP * np.sqrt(total[_SQUARES_INSIDE] / np.maximum(inside, 1))
@@ -193,7 +198,7 @@ def _figures(total: NDArray[np.float64], least_pairs: float) -> Figures:
     return Figures(
         n, total[_LOSS] / n / _LOSS_STEPS, RESIDUAL_STEP * np.sqrt(total[_SQUARES] / n),
         np.where(inside < np.maximum(_LEAST_INSIDE * n, 1), np.nan, rms_inside),
-        np.where(pairs < least_pairs * n, np.nan, own),
+        np.where(pairs < least_pairs * n, np.nan, own), 2 * total[_AT_SIDE] > n,
     )  # fmt: skip
 
 
@@ -203,7 +208,7 @@ def log_likelihood_ratio(figures: Figures, scale: Scale, phase_weight: float) ->
     Losses of true and of false surfaces are taken as normal with the means of matched and of unrelated pixels, and for
     what the surface's own texture distinguishes with its own mean.
     """
-    pixels, loss, rms, rms_inside, own_loss = figures
+    pixels, loss, rms, rms_inside, own_loss, _ = figures
     share = BLIND_SHARE + phase_weight * (FALSE_SHARE - BLIND_SHARE)
 
     def evidence(apart: Any) -> Any:
