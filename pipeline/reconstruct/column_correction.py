@@ -42,8 +42,8 @@ NOISE_COSTS = (0.003, 0.006, 0.012)
 """Mean costs that noise alone gives a pixel with its right order."""
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
 _CLEAR_GAIN, _CLEAR_RATIO, _NEAR = 0.03, 1.5, 0.2
-"""Least gain of an offset that replaces the one with the least mean cost, how many times the gain of that one, and up to
-which distance, columns, gains count as that one's."""
+"""Least gain of an offset that replaces the chosen one, how many times the gain near that one it must be, and what is
+near, columns."""
 _SAME, _FARTHER, _MOST_OTHERS = 0.1, 0.2, 2
 """Distance up to which offsets are alike, columns; how much farther from 0 another one may be, as projectors drift
 little; how many others are compared."""

@@ -50,9 +50,10 @@ def units_of_row(re: Any, im: Any) -> None:
 
 @serial
 def corrected_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out: Any, margin: int) -> None:
-    """Corrected design (a, p, q) of every column's colour about row y, in even and odd rows, out (6, margin + W or more).
+    """Corrected design (a, p, q) of every column's colour about row y, in even and odd rows.
 
-    ``margin`` is even; columns beyond the image have the corrections of its ends.
+    Args:
+        out: (6, margin + W or more); ``margin`` is even, and columns beyond the image have the corrections of its ends.
     """
     last = table.shape[2] - 1
     i = y // step

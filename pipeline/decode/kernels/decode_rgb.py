@@ -75,7 +75,7 @@ def _sums_along(
 def _sums_across(
     unit: Any, sums: Any, i: int, ends: bool, radius: int, nominal: Any, weights: Any, w: Any, c: Any, s: Any, a: Any,
     v: Any,
-) -> None:
+) -> None:  # fmt: skip
     """Sums of the window of row i, (W,), from the sums along the rows that the rings hold.
 
     Of the image's first and last row that along the row, see :func:`_sums_along`.

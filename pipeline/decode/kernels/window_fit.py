@@ -64,7 +64,7 @@ def step_of(
 def continue_ends(
     re: Any, im: Any, first: int, last: int, count: int, nominal_c: float, nominal_s: float, agreeing: float
 ) -> None:
-    """Unit phasors of ``count`` pixels before ``first`` and after ``last``: the plane of the three pixels next to them."""
+    """Unit phasors of ``count`` pixels before ``first`` and after ``last``: the plane of the next three pixels."""
     for end, inwards, s0 in ((first, 1, nominal_s), (last, -1, -nominal_s)):
         a, b = end + inwards, end + 2 * inwards
         c, s, _, _ = step_of(re[end], im[end], re[a], im[a], re[b], im[b], nominal_c, s0, agreeing)

@@ -42,7 +42,7 @@ LEAST_RATIO, LEAST_BLIND = -1.0, 1.5
 """Logarithm of the likelihood ratio below which a surface is rejected; the second where the projector's phase does not
 help: there wrong orders are as probable as right ones before texture is considered."""
 LEAST_AT_SIDE = 3.5
-"""The same of narrow surfaces at the image's left or right side, where strips that one camera sees alone are frequent."""
+"""The same of narrow surfaces at the image's left or right side: many strips there are seen by one camera alone."""
 DISPLACED, INSET = 10, 6
 """Pixels of the image between which a surface's own texture is compared, and from the ends of its rows to its inside,
 where no window of the phase reaches its border."""

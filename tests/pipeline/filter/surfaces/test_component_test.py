@@ -23,7 +23,8 @@ NONE = np.nan
 def _ratio(
     pixels: float, loss: Any, rms: Any, scale: Scale, weight: float = 1.0, *, inside: Any = NONE, own: Any = NONE
 ) -> Any:
-    return log_likelihood_ratio(Figures(pixels, loss, rms, np.asarray(inside), np.asarray(own)), scale, weight)
+    figures = Figures(pixels, loss, rms, np.asarray(inside), np.asarray(own), np.asarray(False))
+    return log_likelihood_ratio(figures, scale, weight)
 
 
 def test_the_evidence_for_a_surface_falls_with_its_loss_and_with_its_phase_residual() -> None:
@@ -81,6 +82,29 @@ def _tested(
     texture = np.random.default_rng(1).integers(60, 120, shape, np.uint8) if mean is None else mean
     component_test(valid, match, steps, texture, surfaces, 10**6, scale, 0.2, weight)
     return valid.reshape(30, 3, 30).mean(axis=(0, 2))
+
+
+@pytest.mark.parametrize(("residual", "textured", "inner", "side"), [
+    (0.03, True, 1, 1), (0.03, False, 1, 0), (0.08, True, 1, 1), (0.08, False, 1, 0), (0.12, True, 1, 0),
+])  # fmt: skip
+def test_a_narrow_strip_at_the_images_side_needs_clear_evidence(
+    residual: float, textured: bool, inner: int, side: int
+) -> None:
+    """Strips of 8 x 60 pixels: the first and the last end at a side of the image, the others do not."""
+    shape = (60, 32)
+    valid, match = np.ones(shape, np.uint8), MatchResult.empty(shape)
+    match.residual[:] = match.residual_normalised[:] = round(residual / RESIDUAL_STEP)
+    match.absolute_phase[:] = np.repeat([0, 5000, 10000, 15000], 8)
+    match.right_u[:], match.right_v[:] = 8 * np.arange(32), 8 * np.arange(60)[:, None]
+    link, surfaces = np.empty(shape, np.uint8), Surfaces(shape)
+    surface_links.links(
+        len(valid), match.absolute_phase, match.right_u.view(np.int16), match.right_v.view(np.int16), 0, 0, link
+    )
+    assert surfaces.find(valid, link, 50) == 4
+    mean = np.random.default_rng(1).integers(60, 120, shape, np.uint8) if textured else np.full(shape, 80, np.uint8)
+    deviation = np.full(shape, round(0.8 * DEVIATION_STEPS), np.uint8)
+    component_test(valid, match, deviation, mean, surfaces, 10**6, TEXTURED, 0.2, 1.0)
+    assert (valid.reshape(60, 4, 8).mean(axis=(0, 2)) == [side, inner, inner, side]).all()
 
 
 def test_a_surface_of_foreign_texture_is_rejected_and_others_stay() -> None:
