@@ -41,7 +41,7 @@ PER_TEXTURE = 0.1
 NOISE_COSTS = (0.003, 0.006, 0.012)
 """Mean costs that noise alone gives a pixel with its right order."""
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
-_CLEAR_GAIN, _CLEAR_RATIO, _NEAR = 0.03, 1.5, 0.2
+_CLEAR_GAIN, _CLEAR_RATIO, _NEAR = 0.03, 1.5, 0.3
 """Least gain of an offset that replaces the chosen one, how many times the gain near that one it must be, and what is
 near, columns."""
 _SAME, _FARTHER, _MOST_OTHERS = 0.1, 0.2, 2

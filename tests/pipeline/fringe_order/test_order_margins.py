@@ -169,10 +169,12 @@ def test_offsets_that_explain_a_pair_as_well_are_compared() -> None:
     # Offsets that are much larger are less probable: a bare plane fits at some of them.
     assert len(other_shifts(offsets, alike, none, np.zeros(3), 0.1, middle)) == 0
     # Nor do those explain the pair at which clearly fewer pixels agree up to noise.
-    fewer = Gains(offsets, np.array([0.3, 0.25, 0.3, 0.1, 0.1]))
-    assert other_shifts(offsets, alike, fewer, here, 0.1, middle) == pytest.approx([-0.2, -0.45, -0.1, -0.225])
-    fewer = Gains(offsets, np.array([0.1, 0.1, 0.3, 0.1, 0.1]))
-    assert len(other_shifts(offsets, alike, fewer, here, 0.1, middle)) == 0
+    far = np.array([0.5, 1e-4, 0.0])  # 0.6 columns
+    assert other_shifts(offsets, alike, none, far, 0.1, middle) == pytest.approx([-0.6, -0.85, -0.3, -0.425])
+    fewer = Gains(offsets, np.array([0.1, 0.1, 0.1, 0.1, 0.3]))
+    assert other_shifts(offsets, alike, fewer, far, 0.1, middle) == pytest.approx([-0.35, -0.175])
+    as_many = Gains(offsets, np.array([0.25, 0.1, 0.1, 0.1, 0.3]))
+    assert other_shifts(offsets, alike, as_many, far, 0.1, middle) == pytest.approx([-0.6, -0.85, -0.3, -0.425])
 
 
 def _costs(shares: list[float], levels: list[float], pixels: int = 3000) -> list[NDArray[np.float32]]:

@@ -66,6 +66,7 @@ def test_a_projector_at_the_left_camera_shows_no_turn_at_all():
     assert hidden_turn(layout.calibration(), layout.pattern(), layout.volume()) is None
 
 
+@pytest.mark.long
 @pytest.mark.timeout(120)
 def test_such_a_turn_is_as_large_as_computed_and_modulated_fringes_show_it():
     """All points are off by the depth that was computed, and the check finds the pair of plain fringes consistent."""

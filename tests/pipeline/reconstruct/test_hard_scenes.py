@@ -30,6 +30,7 @@ CASES = {case.name: case for case in (*HARD, *CASES_OF_ACCURACY)}
         ("Bayer, realistic", 0.9, 0.0025, 1.5, 1.8),
         pytest.param("plaster cast, wide fringes", 0.79, 0.0020, 1.3, 1.5, marks=pytest.mark.long),
         ("strong colours", 0.91, 0.0006, 1.3, 1.0),
+        ("gamma 2.2 unknown", 0.92, 0.0012, 1.0, 1.0),
         pytest.param("strong colours, Bayer", 0.89, 0.0006, 1.4, 1.3, marks=pytest.mark.long),
     ],
 )
@@ -39,8 +40,8 @@ def test_half_size(name: str, least: float, most: float, ratio: float, edge: flo
     assert found.false_surfaces == 0
     assert found.wrong <= most
     assert found.covered >= least
-    # Clipped surfaces have errors that bend the depth everywhere, and their sigma is too large rather than too small.
-    assert (0.6 if name == "bright, over-exposed" else 0.8) <= found.error_to_sigma <= ratio
+    # Clipped surfaces and an unknown gamma bend the depth everywhere, and sigma is too large there rather than too small.
+    assert (0.55 if name in ("bright, over-exposed", "gamma 2.2 unknown") else 0.8) <= found.error_to_sigma <= ratio
     assert found.rings["edge"].error_to_sigma <= edge
 
 

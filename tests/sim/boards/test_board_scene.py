@@ -86,7 +86,7 @@ def test_the_centroid_of_a_tilted_circle_is_not_the_image_of_its_centre(quarter)
         "circles:11x9:32:20",
         pytest.param("acircles:5x9:60", marks=pytest.mark.long),
         pytest.param("chessboard:9x6:34", marks=pytest.mark.long),
-        "charuco:10x7:32:23:DICT_4X4_100",
+        pytest.param("charuco:10x7:32:23:DICT_4X4_100", marks=pytest.mark.long),
     ],
 )
 def test_images_of_boards_do_not_depend_on_the_number_of_rays(text):

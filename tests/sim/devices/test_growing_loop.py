@@ -35,7 +35,9 @@ def names(options: SimOptions) -> list[str]:
     return [path.name[:5] for path in options.cache_dir.iterdir()]
 
 
-@pytest.mark.parametrize("encoding", ["rgb8", pytest.param("bayer_rggb8", marks=pytest.mark.long), "mono16"])
+@pytest.mark.parametrize(
+    "encoding", ["rgb8", *(pytest.param(name, marks=pytest.mark.long) for name in ("bayer_rggb8", "mono16"))]
+)
 def test_every_trigger_shows_an_image_of_the_rendered_loop(options: SimOptions, encoding: str) -> None:
     options = replace(options, encoding=encoding)
     expected = loops.render_loop(options)

@@ -59,6 +59,7 @@ def test_a_ruler_fixes_the_scale():
         calibrate(DEFAULT_BOARD, flat_views, sizes, options=Options(known_distance=(0, 99, length)))
 
 
+@pytest.mark.long
 def test_refining_the_board_of_noisy_views_removes_the_bias_of_a_bent_one():
     views, sizes, truth = session(points=bent(), sigma=0.02, n=16, devices=PAIR)
     plain = calibrate(DEFAULT_BOARD, views, sizes)

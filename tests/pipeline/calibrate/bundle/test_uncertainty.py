@@ -77,6 +77,7 @@ def test_the_noise_floor_is_estimated(floor, factor):
     assert abs(estimate[0] - floor) < 0.01 * floor + 0.005 and abs(estimate[1] - factor) < 0.02
 
 
+@pytest.mark.long
 def test_depths_scatter_over_sessions_as_the_calibration_reports():
     """Fixed pixels of both cameras, triangulated with the calibrations of eight sessions."""
     start, depths, reported = session()[2], [], []

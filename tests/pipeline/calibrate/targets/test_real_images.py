@@ -44,6 +44,7 @@ def test_all_circle_boards_are_detected_near_the_stored_centres(shared_data, fol
         assert np.median(distance) < 0.2 and distance.max() < (0.5 if refine else 0.8), f"{name}{number}"
 
 
+@pytest.mark.long
 def test_all_chessboards_are_detected_and_calibrate_better_than_opencv_corners(shared_data):
     """OpenCV's detector with cornerSubPix gives 0.198, 0.210 and 0.219 px on these images (see their README)."""
     board = parse_board("chessboard:9x6:1")
