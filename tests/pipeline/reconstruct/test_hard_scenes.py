@@ -40,7 +40,7 @@ def test_half_size(name: str, least: float, most: float, ratio: float, edge: flo
     assert found.false_surfaces == 0
     assert found.wrong <= most
     assert found.covered >= least
-    # Clipped surfaces and an unknown gamma bend the depth everywhere, and sigma is too large there rather than too small.
+    # Clipped surfaces and an unknown gamma bend the depth everywhere; sigma is too large there rather than too small.
     assert (0.55 if name in ("bright, over-exposed", "gamma 2.2 unknown") else 0.8) <= found.error_to_sigma <= ratio
     assert found.rings["edge"].error_to_sigma <= edge
 
