@@ -41,6 +41,7 @@ PER_TEXTURE = 0.1
 NOISE_COSTS = (0.003, 0.006, 0.012)
 """Mean costs that noise alone gives a pixel with its right order."""
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
+"""Shares of such pixels that are tried."""
 _CLEAR_GAIN, _CLEAR_RATIO, _NEAR = 0.03, 1.5, 0.3
 """Least gain of an offset that replaces the chosen one, how many times the gain near that one it must be, and what is
 near, columns."""
@@ -74,7 +75,7 @@ def improbability(offsets: F64, with_margin: F64, inside: F64) -> F64:
     return np.asarray((with_margin + few + PER_OUTSIDE * outside).round(6), dtype=np.float64)
 
 
-class Gains(NamedTuple):
+class OffsetLikelihood(NamedTuple):
     """Gain in log likelihood per pixel by assuming, at each offset, that some pixels have their right order.
 
     Of these the costs are those of noise: exponential with one of :data:`NOISE_COSTS`. The costs of the others are
@@ -89,7 +90,7 @@ class Gains(NamedTuple):
     gain: F64
 
     @classmethod
-    def of(cls, offsets: F64, costs: Sequence[NDArray[np.float32]]) -> Gains:
+    def of(cls, offsets: F64, costs: Sequence[NDArray[np.float32]]) -> OffsetLikelihood:
         """From the least costs of the pixels at each offset."""
         edges = np.concatenate([[0.0], np.geomspace(1e-3, 0.5, 40), [np.inf]])
         counts = np.stack([np.histogram(each, edges)[0] for each in costs]).astype(np.float64)
@@ -128,7 +129,12 @@ def minima(offsets: F64, values: F64) -> list[int]:
 
 
 def other_shifts(
-    offsets: F64, with_margin: F64, gains: Gains, correction: Correction, cost: float, middle: tuple[float, float]
+    offsets: F64,
+    with_margin: F64,
+    likelihood: OffsetLikelihood,
+    correction: Correction,
+    cost: float,
+    middle: tuple[float, float],
 ) -> F64:
     """Changes (n,) of the correction's offset that explain the pair about as well, and halves of them; columns.
 
@@ -137,15 +143,16 @@ def other_shifts(
 
     Args:
         offsets, with_margin: as of :func:`improbability`; cost: the same of the correction.
-        gains: those clearly smaller than that of the correction do not explain the pair.
+        likelihood: offsets whose gain is clearly smaller than that of the correction do not explain the pair.
         middle: projector coordinates along and across the fringes where the correction is compared with an offset.
     """
     here = float(correction @ (1.0, *middle))
     probable = with_margin + PER_COLUMN * np.abs(offsets)
     limit = min(float(probable.min()), cost + PER_COLUMN * abs(here)) + CLEARLY_MORE
     small = np.abs(offsets) <= abs(here) + _FARTHER
-    least = gains.near(here) / _CLEAR_RATIO if gains.near(here) >= _CLEAR_GAIN else 0.0
-    agreeing = np.array([gains.near(offset) >= least for offset in offsets])
+    gain = likelihood.near(here)
+    least = gain / _CLEAR_RATIO if gain >= _CLEAR_GAIN else 0.0
+    agreeing = np.array([likelihood.near(offset) >= least for offset in offsets])
     others = np.flatnonzero((probable <= limit) & small & agreeing & (np.abs(offsets - here) >= _SAME))
     shifts = offsets[others[np.argsort(probable[others], kind="stable")][:_MOST_OTHERS]] - here
     return np.asarray(np.concatenate([shifts, shifts / 2]), dtype=np.float64)

@@ -126,8 +126,8 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
     values = column_correction.improbability(
         offsets, with_margin, np.array([mean_of(costs(inside, each)) for each in offsets])
     )
-    gains = column_correction.Gains.of(np.concatenate([offsets, between]), all_costs)
-    chosen = gains.clear_offset(_best_of_minima(made, left, right, offsets, values))
+    likelihood = column_correction.OffsetLikelihood.of(np.concatenate([offsets, between]), all_costs)
+    chosen = likelihood.clear_offset(_best_of_minima(made, left, right, offsets, values))
     made.correction = np.array([chosen, 0.0, 0.0])
     made.calibrated = True
     made.clear_prior()
@@ -139,7 +139,7 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
     middle = (float(np.median(along)), float(np.median(across))) if len(along) else (0.0, 0.0)
     cost = mean_of(made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE))
     made.clear_prior()
-    made.other_shifts = column_correction.other_shifts(offsets, with_margin, gains, made.correction, cost, middle)
+    made.other_shifts = column_correction.other_shifts(offsets, with_margin, likelihood, made.correction, cost, middle)
     return match
 
 

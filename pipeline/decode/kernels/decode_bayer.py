@@ -38,10 +38,10 @@ from pipeline.decode.kernels.window_fit import continue_ends, continue_row
 from pipeline.decode.packed_phasor import PHASOR_SCALE
 from pipeline.decode.pixel_descriptor import complete_row, normalised_phase_row
 
-REACH, RING = 2, 5  # of a window
+REACH, RING = 2, 5
+"""Pixels from the middle of the largest window to its ends, and its rows."""
 COLORED = 1.7
 """Factor of the variance on strong colours, whose first guess is noisier: without it errors were 1.2 times sigma."""
-
 AT_END, BESIDE_END = 2.0, 1.2
 """Factors of the variance of the image's outermost pixels and, in a row, of the next ones: their windows are cut, and
 the error of the phase's step, taken from the first guess, does not cancel between both halves (measured)."""
@@ -127,8 +127,8 @@ def decode_bayer(
     ``rows`` (3, 3) is the design of the channels; all else as in :func:`pipeline.decode.kernels.decode_rgb.decode_rgb`.
     """
     height, width = mean.shape
-    # A window is as long as that of radius 2, and at the image's end its weights are 0 beyond it. A tile may extend
-    # beyond the end of a row.
+    # Every row has room for the largest window, whose weights beyond the image's end are 0, and for tiles that extend
+    # beyond its end.
     stride = row_stride(width + TILE + 2 * REACH)
     wide = row_stride(3 * width + 6 * along)
     low, high = band * height // BANDS, (band + 1) * height // BANDS

@@ -16,7 +16,7 @@ from pipeline.fringe_order.order_margins import AMBIGUOUS_SHARE, CELL, SAMPLES, 
 from pipeline.reconstruct.column_correction import (
     CLEARLY_MORE,
     COMPARED_WITHIN,
-    Gains,
+    OffsetLikelihood,
     improbability,
     minima,
     other_shifts,
@@ -161,7 +161,7 @@ def test_offsets_that_explain_a_pair_as_well_are_compared() -> None:
     offsets = np.array([0.0, -0.25, 0.25, -0.5, 0.5])
     here, middle = np.array([0.1, 1e-4, 0.0]), (1000.0, 300.0)  # 0.2 columns in the middle
     costs = np.array([0.1, 0.1 + CLEARLY_MORE, 0.09, 0.2, 0.2])
-    none = Gains(offsets, np.zeros(5))
+    none = OffsetLikelihood(offsets, np.zeros(5))
     assert other_shifts(offsets, costs, none, here, 0.1, middle) == pytest.approx([-0.2, -0.1])
     assert len(other_shifts(offsets, costs, none, here, 0.05, middle)) == 0
     alike = np.full(5, 0.1)
@@ -171,9 +171,9 @@ def test_offsets_that_explain_a_pair_as_well_are_compared() -> None:
     # Nor do those explain the pair at which clearly fewer pixels agree up to noise.
     far = np.array([0.5, 1e-4, 0.0])  # 0.6 columns
     assert other_shifts(offsets, alike, none, far, 0.1, middle) == pytest.approx([-0.6, -0.85, -0.3, -0.425])
-    fewer = Gains(offsets, np.array([0.1, 0.1, 0.1, 0.1, 0.3]))
+    fewer = OffsetLikelihood(offsets, np.array([0.1, 0.1, 0.1, 0.1, 0.3]))
     assert other_shifts(offsets, alike, fewer, far, 0.1, middle) == pytest.approx([-0.35, -0.175])
-    as_many = Gains(offsets, np.array([0.25, 0.1, 0.1, 0.1, 0.3]))
+    as_many = OffsetLikelihood(offsets, np.array([0.25, 0.1, 0.1, 0.1, 0.3]))
     assert other_shifts(offsets, alike, as_many, far, 0.1, middle) == pytest.approx([-0.6, -0.85, -0.3, -0.425])
 
 
@@ -193,15 +193,15 @@ def test_the_offset_at_which_pixels_agree_up_to_noise_is_taken_whatever_the_mean
     wall = [0.3, 0.3, 0.3, 0.3, 0.1, 0.3, 0.3]  # all of it agrees roughly at 0.5, a few pixels well at 0
     costs = _costs([0.15, 0, 0, 0, 0, 0, 0], wall)
     assert np.argmin([each.mean() for each in costs]) == 4
-    gains = Gains.of(offsets, costs)
-    assert gains.clear_offset(0.5) == 0.0
-    assert (gains.clear_offset(0.0), gains.clear_offset(0.1)) == (0.0, 0.1)
-    assert gains.gain.argmax() == 0
-    assert (gains.gain >= 0).all()
+    likelihood = OffsetLikelihood.of(offsets, costs)
+    assert likelihood.clear_offset(0.5) == 0.0
+    assert (likelihood.clear_offset(0.0), likelihood.clear_offset(0.1)) == (0.0, 0.1)
+    assert likelihood.gain.argmax() == 0
+    assert (likelihood.gain >= 0).all()
     # Without such pixels the costs decide, and where both have them.
     for shares in ([0.0] * 7, [0.15, 0, 0, 0, 0.13, 0, 0]):
-        assert Gains.of(offsets, _costs(shares, wall)).clear_offset(0.5) == 0.5
-    assert Gains.of(offsets, [np.empty(0, np.float32)] * 7).clear_offset(0.25) == 0.25
+        assert OffsetLikelihood.of(offsets, _costs(shares, wall)).clear_offset(0.5) == 0.5
+    assert OffsetLikelihood.of(offsets, [np.empty(0, np.float32)] * 7).clear_offset(0.25) == 0.25
 
 
 @pytest.mark.long
