@@ -17,7 +17,7 @@ OPEN3D := .open3d-venv
 # Also where the caller forbids it: without compiled modules every process of ours, and every test, starts by compiling.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help env demo test packages pytest test-all audit bench bench-calibration soak check golden protocol screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load bench-latency campaign bench-service docs docs-figures clean
+.PHONY: help env demo test packages kernels pytest test-all audit bench bench-calibration soak check golden protocol screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load bench-latency campaign bench-service docs docs-figures clean
 .DEFAULT_GOAL := help
 
 help:
@@ -40,13 +40,16 @@ demo: $(RIG)  ## measure a moving object on the simulated rig, live; prints the 
 
 test:  ## all checks: style, types, layers, tests but the long ones; twelve minutes on two cores
 	tools/system-packages python
-	$(MAKE) --no-print-directory --jobs 2 $(DEV) packages
+	$(MAKE) --no-print-directory --jobs 3 $(DEV) packages kernels
 	$(MAKE) --no-print-directory --jobs 2 check pytest
 	$(BIN)/python -m pytest -m 'threads and not long' tests/pipeline
 
-# Beside the environment: both mostly wait for the network and the disk.
+# Beside the environment: that mostly waits for the network and the disk.
 packages:
 	tools/system-packages browser x11 compiler systemd
+
+kernels: $(RIG)
+	$(BIN)/python -m tests.kernels
 
 # Beside `check`, whose longest part, mypy, has one thread. Files with slow tests go first (tests/conftest.py), which
 # pytest-xdist would reorder by their numbers of tests.

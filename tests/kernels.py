@@ -1,6 +1,11 @@
-"""Compiles all kernels into the cache on disk, so that the tests' time-outs are those of running them."""
+"""Compiles all kernels into the cache on disk, so that the tests' time-outs are those of running them.
+
+``python -m tests.kernels`` needs the environment of the rig only: `make test` runs it while it installs the rest.
+"""
 
 from __future__ import annotations
+
+import sys
 
 from daemon.common.errors import DaemonError
 from daemon.kernels.jobs import ENCODINGS, later_jobs, measuring_jobs, rendering_jobs
@@ -20,3 +25,7 @@ def compile_all() -> str:
     except DaemonError as error:
         return str(error)
     return ""
+
+
+if __name__ == "__main__":
+    sys.exit(compile_all() or None)
