@@ -57,7 +57,7 @@ class Segments:
     def __init__(self, shape: tuple[int, int]) -> None:
         self._surfaces = Surfaces(shape)
         self._flat, self._mean = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        self._valid, self._link = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
+        self._valid, self._narrow, self._link = (np.empty(shape, np.uint8) for _ in range(3))
         self._found, self._count = np.empty((2, *shape), np.int64), np.empty((2, shape[0]), np.int64)
         self.label = np.empty(shape, np.uint16)
 
@@ -79,7 +79,8 @@ class Segments:
         h = len(order)
         planes = self._flat, self._mean
         load_rows(h, order, top, down, left, step, phase, descriptors, *map(np.float32, slopes), *planes, self._valid)
-        link_rows(h, *planes, self._link)
+        link_rows(h, *planes, self._narrow)
+        drop_narrow(h, self._narrow, self._link)
         self._surfaces.find(self._valid, self._link, SMALLEST)
         self._surfaces.paint(self.label)
         find_jumps(h, self.label, *planes, self._found, self._count)
@@ -120,6 +121,20 @@ def link_rows(a: int, flat: Any, mean: Any, link: Any) -> None:
     _link(flat[a, 1:], flat[a, :last], mean[a, 1:], mean[a, :last], LEFT, link[a, 1:])
     if a > 0:
         _link(flat[a], flat[a - 1], mean[a], mean[a - 1], UP, link[a])
+
+
+@parallel
+def drop_narrow(a: int, link: Any, out: Any) -> None:
+    """Those links (h, w) of a lattice row, ``out``, beside which one of the same direction is parallel.
+
+    Wrong orders may meet those of a right surface in a pixel or two, mostly at the edge of a shadow.
+    """
+    h, w = link.shape
+    # At the end of the image a link is parallel to itself.
+    above, below = link[max(a - 1, 0)], link[min(a + 1, h - 1)]
+    for b in range(w):
+        beside = link[a, max(b - 1, 0)] | link[a, min(b + 1, w - 1)]
+        out[a, b] = link[a, b] & (((above[b] | below[b]) & LEFT) | (beside & UP))
 
 
 @inline
