@@ -33,7 +33,7 @@ LARGEST_COST = 0.3
 EVEN = 0.002
 """Difference of costs up to which two orders explain a pixel alike, where the fringes repeat."""
 AMBIGUOUS_SHARE = 0.35
-"""Share of its pixels from which a large surface's ambiguous cells are rejected; its other cells decide fewer."""
+"""Share of its pixels in ambiguous cells from which a large surface is rejected; its other cells decide fewer."""
 
 
 class Limits(NamedTuple):
@@ -41,14 +41,12 @@ class Limits(NamedTuple):
 
     Args:
         margin: the least one, 0 = no test; shifts: (n,) changes of the column correction that other orders may have.
-        entirely: large surfaces with many ambiguous cells are rejected, not only these cells.
         even: difference of costs up to which two orders explain a pixel alike; surfaces have no margin where the same
             other order does so at more than half of their pixels. Negative: no such test.
     """
 
     margin: float
     shifts: NDArray[np.float64]
-    entirely: bool
     even: float = -1.0
 
 
@@ -86,17 +84,12 @@ class Groups:
         n = _choose(group, SAMPLES, self._pixels, np.empty(len(self), np.int32), nodes)
         return nodes[:n], group[nodes[:n]]
 
-    def reject(self, ambiguous: NDArray[np.bool_], valid: NDArray[np.uint8], *, entirely: bool = False) -> None:
-        """Reject the pixels of ambiguous groups (n,), after :meth:`sampled`; ``valid`` (H, W) is changed.
-
-        Args:
-            entirely: as of :class:`Limits`.
-        """
+    def reject(self, ambiguous: NDArray[np.bool_], valid: NDArray[np.uint8]) -> None:
+        """Reject the pixels of ambiguous groups (n,), after :meth:`sampled`; ``valid`` (H, W) is changed."""
         rejected = ambiguous.copy()
         cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (rejected, self._pixels))
         share = (cells * pixels).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
-        cells[share < AMBIGUOUS_SHARE] = False
-        cells[share >= AMBIGUOUS_SHARE] |= entirely
+        cells[:] = (share >= AMBIGUOUS_SHARE)[:, None]
         # The loop is called without rows as well, or it would be compiled in the middle of a live run.
         rows = len(valid) if rejected.any() else 0
         _reject(rows, self._label, self._row, self._cell, self._across, self._cells, rejected, valid)

@@ -76,7 +76,7 @@ class OrderSearch:
         if limits.margin > 0:
             groups = order_margins.Groups(label, sizes, order_margins.CELL // stride)
             margins = self._fine.margins(reference, other, correction, limits, order, stride, groups)
-            groups.reject(margins < limits.margin, valid, entirely=limits.entirely)
+            groups.reject(margins < limits.margin, valid)
 
     def reject_contradicted(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, order: NDArray[np.int16]

@@ -106,7 +106,7 @@ def _search() -> None:
     search.search(phases, phases, made.correction, use_prior=True)
     label, valid = np.ones((HEIGHT, WIDTH), np.uint16), np.ones((HEIGHT, WIDTH), np.uint8)
     sizes, order = np.full(1, label.size, np.int32), np.zeros(label.shape, np.int16)
-    limits = Limits(0.1, np.zeros(1), entirely=False)
+    limits = Limits(0.1, np.zeros(1))
     search.reject_ambiguous(phases, phases, made.correction, limits, order, 1, label, sizes, valid)
 
 

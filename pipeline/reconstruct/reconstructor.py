@@ -39,8 +39,7 @@ from pipeline.rig.volume import Volume
 _LEAST_MARGIN = 0.3
 """Share of ``uniqueness_ratio`` that is asked of layouts where every surface's orders have small margins."""
 _DISTINCT = 0.5
-"""Weight of the projector's phase from which a surface with many ambiguous parts is rejected entirely, since in such
-layouts only wrong orders have them; below it, orders must be unique in the right image."""
+"""Weight of the projector's phase below which orders must be unique in the right image."""
 
 
 class Reconstructor:
@@ -178,8 +177,7 @@ class Reconstructor:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
         left_map, right_map, order = self.orders(left, right, watch, use_prior=use_prior)
-        entirely = not self._repeats or len(self.other_shifts) > 0
-        limits = Limits(self._least_margin, self.other_shifts, entirely, EVEN if self._repeats else -1.0)
+        limits = Limits(self._least_margin, self.other_shifts, EVEN if self._repeats else -1.0)
         by_orders = partial(self.searches[0].reject_ambiguous, left_map, right_map, self.correction, limits)
         return self.stage(stride).cloud(left_map, right_map, order, self.correction, watch, reject_ambiguous=by_orders)
 

@@ -57,7 +57,7 @@ class Segments:
     def __init__(self, shape: tuple[int, int]) -> None:
         self._surfaces = Surfaces(shape)
         self._flat, self._mean = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        self._valid, self._narrow, self._link = (np.empty(shape, np.uint8) for _ in range(3))
+        self._valid, self._link, self._wide = (np.empty(shape, np.uint8) for _ in range(3))
         self._found, self._count = np.empty((2, *shape), np.int64), np.empty((2, shape[0]), np.int64)
         self.label = np.empty(shape, np.uint16)
 
@@ -79,11 +79,18 @@ class Segments:
         h = len(order)
         planes = self._flat, self._mean
         load_rows(h, order, top, down, left, step, phase, descriptors, *map(np.float32, slopes), *planes, self._valid)
-        link_rows(h, *planes, self._narrow)
-        drop_narrow(h, self._narrow, self._link)
-        self._surfaces.find(self._valid, self._link, SMALLEST)
+        link_rows(h, *planes, self._link)
+        return self._jumps(self._link)
+
+    def divide(self) -> Jumps:
+        """Separate what hangs together by one lattice pixel only; the jumps between all segments then."""
+        drop_narrow(len(self._link), self._link, self._wide)
+        return self._jumps(self._wide)
+
+    def _jumps(self, link: NDArray[np.uint8]) -> Jumps:
+        self._surfaces.find(self._valid, link, SMALLEST)
         self._surfaces.paint(self.label)
-        find_jumps(h, self.label, *planes, self._found, self._count)
+        find_jumps(len(link), self.label, self._flat, self._mean, self._found, self._count)
         found, times = np.unique(self._found.reshape(-1)[: joined(self._found, self._count)], return_counts=True)
         return _jumps_of(found, times)
 

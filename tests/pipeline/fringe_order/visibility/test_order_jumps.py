@@ -83,6 +83,19 @@ def test_another_texture_is_no_continuation() -> None:
     assert found(surface(), changed(3), 90 + changed(5))[0].continuing.tolist() == [54]
 
 
+def test_a_part_that_is_divided_has_the_jumps_of_its_own_border() -> None:
+    undecided = np.zeros(SHAPE, np.bool_)
+    undecided[:, 14:17] = True
+    undecided[9, 14:17] = False
+    # Below, the orders of both halves are wrong, by one and by three.
+    change = np.where(np.arange(SHAPE[0])[:, None] >= 18, np.where(np.arange(SHAPE[1]) >= 15, 3, 1), 0)
+    jumps, segments = found(surface(), change, undecided=undecided)
+    assert (sorted(jumps.change), len(set(jumps.first))) == ([1, 3], 1)
+    divided = segments.divide()
+    assert (sorted(divided.change), len(set(divided.first))) == ([1, 3], 2)
+    assert sorted(divided.places) == sorted(jumps.places)
+
+
 def test_borders_that_continue_in_part_count_in_part() -> None:
     rest = changed(1.0)
     rest[14:] = 0.0
@@ -101,6 +114,19 @@ def test_undecided_pixels_between_segments_do_not_separate_them(gap: int) -> Non
     assert jumps.continuing[0] == jumps.places[0] >= SHAPE[0]
     undecided[:, 15:19] = True
     assert len(found(surface(), change, undecided=undecided)[0].change) == 0
+
+
+@pytest.mark.parametrize("width", [1, 2])
+@pytest.mark.parametrize("row", [0, 9, SHAPE[0] - 2])
+def test_what_hangs_together_by_one_lattice_pixel_is_divided(width: int, row: int) -> None:
+    undecided = np.zeros(SHAPE, np.bool_)
+    undecided[:, 14:17] = True
+    undecided[row + 2 - width : row + 2, 14:17] = False
+    _, segments = found(surface(), undecided=undecided)
+    assert len(segments.sizes) == 1
+    segments.divide()
+    # The end of the image may be that of a wider connection.
+    assert len(segments.sizes) == (2 if width == 1 and row + 1 < SHAPE[0] - 1 else 1)
 
 
 def test_segments_of_few_pixels_have_no_jumps() -> None:
