@@ -13,7 +13,7 @@ from pipeline.fringe_order.label_vectors import padded
 from pipeline.fringe_order.visibility import uniqueness
 from pipeline.fringe_order.visibility.order_jumps import Jumps, Segments
 from pipeline.fringe_order.visibility.uniqueness import Claims
-from pipeline.fringe_order.visibility.visibility_test import unseen_segments
+from pipeline.fringe_order.visibility.visibility_test import may_have_parts, nearest_claims, unseen_segments
 from pipeline.geometry.ray_tables import RayTable
 from pipeline.geometry.view_tables import View
 
@@ -129,26 +129,29 @@ class OrderLattice:
     ) -> None:  # fmt: skip
         """As of :class:`OrderSearch`."""
         view, t, theirs, segments = self._view, self.table, other_view.table.shape, self._segments
-        smallest = view.settings.cluster_min_area // (t.down * t.step)
+        axis, nearer = view.first_axis, towards_nearer(view, other_view)
+        owner = np.full(theirs[0] * theirs[1], -1, np.int32)
+        nearest_claims(place, axis, nearer, owner)
 
         def claims_of(orders: NDArray[np.int16]) -> Claims:
             return self._claims(orders, reference, other, correction, other_view)
 
         def reject(jumps: Jumps) -> None:
             unseen = unseen_segments(
-                segments.label, segments.sizes, jumps, self.order, order, place, claims_of, view.first_axis,
-                towards_nearer(view, other_view), theirs[0] * theirs[1], smallest,
+                segments.label, segments.sizes, jumps, self.order, order, owner, claims_of, axis, nearer,
+                view.settings.cluster_min_area // (t.down * t.step),
             )  # fmt: skip
             if unseen.any():
                 order[np.concatenate([[False], unseen])[segments.label]] = semi_global_aggregation.NONE
 
-        reject(
-            segments.find(
-                self.order, t.top, t.down, t.left, t.step, reference.phase, reference.descriptors, view.slopes
-            )
+        jumps = segments.find(
+            self.order, t.top, t.down, t.left, t.step, reference.phase, reference.descriptors, view.slopes
         )
-        # Wrong orders may meet those of a right surface by chance, mostly at the edge of a shadow.
-        reject(segments.divide())
+        in_parts = may_have_parts(jumps, segments.sizes)
+        reject(jumps)
+        if in_parts:
+            # Wrong orders may meet those of a right surface by chance, mostly at the edge of a shadow.
+            reject(segments.divide())
 
     def _claims(
         self, order: NDArray[np.int16], reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View

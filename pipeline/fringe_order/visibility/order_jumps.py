@@ -80,11 +80,11 @@ class Segments:
         planes = self._flat, self._mean
         load_rows(h, order, top, down, left, step, phase, descriptors, *map(np.float32, slopes), *planes, self._valid)
         link_rows(h, *planes, self._link)
+        drop_narrow(h, self._link, self._wide)  # here, or it would be compiled in the middle of a live run
         return self._jumps(self._link)
 
     def divide(self) -> Jumps:
         """Separate what hangs together by one lattice pixel only; the jumps between all segments then."""
-        drop_narrow(len(self._link), self._link, self._wide)
         return self._jumps(self._wide)
 
     def _jumps(self, link: NDArray[np.uint8]) -> Jumps:

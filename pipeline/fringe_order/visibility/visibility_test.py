@@ -19,8 +19,9 @@ from pipeline.fringe_order.semi_global_aggregation import NONE
 from pipeline.fringe_order.visibility.order_jumps import Jumps
 from pipeline.fringe_order.visibility.uniqueness import Claims
 
-LEAST_PLACES, LEAST_SHARE = 8, 0.6
-"""Places where phase and texture continue, and their share of all where these segments meet, that show a jump."""
+LEAST_PLACES, LEAST_SHARE, SHARE_OF_PART = 8, 0.6, 0.2
+"""Places where phase and texture continue, and their share of all where these segments meet, that show a jump; the
+share from which that of a part may be hidden among those of the whole."""
 PER_WIDTH = 0.5
 """Such places, divided by the square root of a segment's lattice pixels: few of a large segment are an accident."""
 LEAST_CONFIRMED = 0.1
@@ -33,20 +34,28 @@ _NEARER = 2
 """Lattice pixels by which a claim's ray passes another one's before the surface is in front of it."""
 
 
+def may_have_parts(jumps: Jumps, sizes: NDArray[np.int32]) -> bool:
+    """Whether a part of a segment may have an order jump that is not shown of the whole; arguments as below."""
+    smaller = np.minimum(sizes[jumps.first], sizes[jumps.second])
+    shown = jumps.continuing >= np.maximum(LEAST_SHARE * jumps.places, PER_WIDTH * np.sqrt(smaller))
+    possible = jumps.continuing >= np.maximum(LEAST_PLACES, SHARE_OF_PART * jumps.places)
+    return bool((possible & ~shown).any())
+
+
 def unseen_segments(
     label: NDArray[np.uint16], sizes: NDArray[np.int32], jumps: Jumps, order: NDArray[np.int16],
-    confirmed: NDArray[np.int16], place: NDArray[np.int32], claims_of: Callable[[NDArray[np.int16]], Claims],
-    axis: int, nearer: int, places: int, smallest: int,
+    confirmed: NDArray[np.int16], owner: NDArray[np.int32], claims_of: Callable[[NDArray[np.int16]], Claims], axis: int,
+    nearer: int, smallest: int,
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Which segments (n,) have the order of another surface.
 
     Args:
         label, sizes, jumps: of :class:`pipeline.fringe_order.visibility.order_jumps.Segments`.
-        order: (h, w) of the search; confirmed, place: (h, w) of the left-right check.
+        order: (h, w) of the search; confirmed: (h, w) of the left-right check; owner: of :func:`nearest_claims`.
         claims_of: returns the claims of orders (h, w).
         axis: 0 = the other camera lies beside this one, 1 = above or below it; nearer: 1 or -1, direction along it in
             which, of the rays through one pixel of the other camera, those of nearer points lie.
-        places: lattice pixels of the other image; smallest: pixels from which a segment makes a surface.
+        smallest: pixels from which a segment makes a surface.
     """
     n = len(sizes)
     known = np.zeros(n + 1, np.int64)
@@ -58,8 +67,7 @@ def unseen_segments(
     some = np.s_[: len(moved), : moved.shape[1]]
     own, continued = (np.where(moved != 0, orders, NONE) for orders in (order[some], order[some] + moved))
     claimed, alternative = claims_of(own), claims_of(continued)
-    owner, counts = np.full(places, -1, np.int32), np.zeros((n, 2), np.int64)
-    nearest_claims(place[some], axis, nearer, owner)
+    counts = np.zeros((n, 2), np.int64)
     count_explained(
         label, claimed.place, claimed.cost, alternative.place, alternative.cost, continued, owner, axis, nearer, counts
     )  # fmt: skip
@@ -95,7 +103,11 @@ def count_known(label: Any, order: Any, counts: Any) -> None:
 
 @serial
 def nearest_claims(place: Any, axis: int, nearer: int, owner: Any) -> None:
-    """Lattice pixel of the nearest surface that claims each place, ``owner`` (places,) int32, -1 before."""
+    """Lattice pixel of the nearest surface that claims each place, ``owner`` (places,) int32, -1 before.
+
+    Args:
+        place: (h, w) of the left-right check; axis, nearer: as of :func:`unseen_segments`.
+    """
     h, w = place.shape
     for i in range(h):
         for j in range(w):

@@ -13,7 +13,7 @@ from pipeline.fringe_order.order_search import OrderSearch
 from pipeline.fringe_order.semi_global_aggregation import NONE
 from pipeline.fringe_order.visibility.order_jumps import Jumps
 from pipeline.fringe_order.visibility.uniqueness import Claims
-from pipeline.fringe_order.visibility.visibility_test import unseen_segments
+from pipeline.fringe_order.visibility.visibility_test import may_have_parts, nearest_claims, unseen_segments
 from tests.pipeline.small import images, pair, reconstructor
 
 SHAPE = 20, 60
@@ -58,9 +58,11 @@ def judged(
             place.astype(np.int32), np.zeros(SHAPE, np.float32), np.where(continued, cost, 0.1).astype(np.float32)
         )
 
+    owner = np.full(LABEL.size, -1, np.int32)
+    nearest_claims(columns, 0, nearer, owner)
     rejected = unseen_segments(
-        LABEL, sizes, jumps() if jump is None else jump, order, order if kept is None else kept, columns, claims_of, 0,
-        nearer, LABEL.size, 13,
+        LABEL, sizes, jumps() if jump is None else jump, order, order if kept is None else kept, owner, claims_of, 0,
+        nearer, 13,
     )  # fmt: skip
     return [int(k) + 1 for k in np.flatnonzero(rejected)]
 
@@ -102,6 +104,16 @@ def test_a_strip_that_the_left_right_check_rejected_already_is_left_alone() -> N
 def test_a_neighbour_that_the_left_right_check_rejected_is_no_evidence() -> None:
     kept = np.where(LABEL == WALL, NONE, 10).astype(np.int16)
     assert judged(0, -1.0, kept=kept) == []
+
+
+@pytest.mark.parametrize(
+    ("continuing", "places", "expected"),
+    [(20, 20, False), (20, 50, True), (7, 7, False), (8, 60, False), (6, 20, False)],
+)
+def test_a_part_may_have_a_jump_that_few_of_all_places_show(continuing: int, places: int, expected: bool) -> None:
+    assert may_have_parts(jumps(continuing, places), SIZES) is expected
+    # For a segment of 2500 pixels, 20 places are few; a part of it may be smaller.
+    assert may_have_parts(jumps(continuing, places), np.array([9999, 2500, 400], np.int32)) is (continuing == 20)
 
 
 def test_nothing_is_asked_without_a_jump() -> None:
