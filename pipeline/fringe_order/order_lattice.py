@@ -97,19 +97,25 @@ class OrderLattice:
             )  # fmt: skip
             return costs
 
+        def least_margins(costs: F32) -> F32:
+            least = np.empty(len(groups), np.float32)
+            order_margins.least_margins(
+                group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST,
+                limits.even, least,
+            )  # fmt: skip
+            return least
+
         own, costs = order[i // stride, j // stride], costs_of(0.0)
+        least = least_margins(costs)
         if len(limits.shifts):
             k = own - first[nodes]
             chosen = np.flatnonzero((k >= 0) & (k < count[nodes])), k[(k >= 0) & (k < count[nodes])]
             costs_of_own = costs[chosen]
             for shift in limits.shifts:
-                np.minimum(costs, costs_of(shift), out=costs)
-            costs[chosen] = costs_of_own
-        least = np.empty(len(groups), np.float32)
-        order_margins.least_margins(
-            group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST,
-            limits.even, least,
-        )  # fmt: skip
+                # The projector has one offset: all pixels have other orders at the same one.
+                costs = costs_of(shift)
+                costs[chosen] = costs_of_own
+                least = np.minimum(least, least_margins(costs))
         return least
 
     def reject_contradicted(
