@@ -38,6 +38,7 @@ LIMITS: dict[str, tuple[tuple[float, float], str]] = {
     "left_roll": ((0.020, 0.033), "degrees"),
     "right_roll": ((0.020, 0.033), "degrees"),
     "order_cost": ((0.50, 0.60), "of the cost of unrelated phases"),
+    "order_cost_beside_agreement": ((0.50, np.inf), "of the cost of unrelated phases"),
     "scanned_drift": ((0.012, 0.030), "degrees of the projector"),
     "scanned_offset": ((np.inf, 0.0), "degrees of the projector"),
     "scanned_epipolar": ((np.inf, 0.0), "degrees of the right camera"),
@@ -48,6 +49,9 @@ SIGMAS = 4.0
 _AGREEMENT = 3.0  # standard deviations of the difference
 _LEAST_PATCHES = 16
 _CLEARLY_LESS = 0.85
+_AGREEMENT_GAIN = 0.005
+"""Gain of :class:`pipeline.reconstruct.consistency.ColumnScan` from which some pixels agree up to noise. Where the patches
+agree as well, a high cost of all pixels is that of surfaces out of reach or of an unknown response, and refutes nothing."""
 _LEAST_SHARE = 0.05
 
 
@@ -83,7 +87,7 @@ class ConsistencyCheck:
         """Judge a pair of raw images by its cloud, and by the column scan of this pair or of an earlier one."""
         readings = self.readings(self._observer.patches(left, right, cloud))
         if scan is not None:
-            readings |= self._scanned(scan) | ({} if "column_offset" in readings else self._drift(scan))
+            readings |= self._scanned(scan, readings) | ({} if "column_offset" in readings else self._drift(scan))
         return judged(readings, self._cause(readings))
 
     def readings(self, patches: Patches) -> dict[str, Reading]:
@@ -146,8 +150,11 @@ class ConsistencyCheck:
                 out[name] = together(one, two)
         return out
 
-    def _scanned(self, scan: ColumnScan) -> dict[str, Reading]:
-        out = {"order_cost": Reading(scan.relative_cost, 0.0)}
+    def _scanned(self, scan: ColumnScan, readings: dict[str, Reading]) -> dict[str, Reading]:
+        scatter = readings.get("column_scatter")
+        agrees = scatter is not None and scatter.value + SIGMAS * scatter.sigma < LIMITS["column_scatter"][0][0]
+        name = "order_cost_beside_agreement" if agrees and scan.gain >= _AGREEMENT_GAIN else "order_cost"
+        out = {name: Reading(scan.relative_cost, 0.0)}
         if scan.offset_px != scan.allowed_px and scan.cost < _CLEARLY_LESS * scan.allowed_cost:
             out["scanned_offset"] = Reading(scan.offset_px * self._projector_deg, 0.0)
         if scan.across_px:

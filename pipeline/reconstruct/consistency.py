@@ -9,6 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.reconstruct.column_correction import OffsetLikelihood
+
 F64 = NDArray[np.float64]
 Verdict = Literal["consistent", "doubtful", "inconsistent", "unknown"]
 
@@ -68,6 +70,8 @@ class ColumnScan:
         allowed_cost: mean least cost there.
         relative_cost: lower quartile of the pixels' costs at ``allowed_px`` over the median of that quartile over all
             offsets, each less :data:`NOISE_COST`: 0 = every pixel agrees, 1 = no better than unrelated phases.
+        gain: in log likelihood per pixel by assuming, at the correction in use, that some pixels have their right order;
+            see :class:`pipeline.reconstruct.column_correction.OffsetLikelihood`.
         across_px: displacement of the right image across the epipolar lines with clearly the least cost, else 0.
     """
 
@@ -76,17 +80,24 @@ class ColumnScan:
     allowed_px: float
     allowed_cost: float
     relative_cost: float
+    gain: float = 0.0
     across_px: float = 0.0
 
     @classmethod
     def of(
-        cls, offsets: F64, costs: Sequence[NDArray[np.float32]], largest: float, across: Mapping[int, float]
+        cls,
+        offsets: F64,
+        costs: Sequence[NDArray[np.float32]],
+        largest: float,
+        across: Mapping[int, float],
+        corrected: NDArray[np.float32],
     ) -> ColumnScan | None:
         """The scan of (n,) offsets with the costs of the pixels at each; None where no pixel has two candidates.
 
         Args:
             largest: offset that a drift of the projector explains.
             across: mean least cost by displacement across the epipolar lines, pixels; 0 among them.
+            corrected: costs of the pixels at the correction in use.
         """
         if min(map(len, costs)) < _LEAST_PIXELS:
             return None
@@ -99,5 +110,6 @@ class ColumnScan:
         displaced = min(across, key=across.__getitem__)
         return cls(
             float(offsets[best]), float(means[best]), float(offsets[allowed]), float(means[allowed]), float(relative),
+            float(OffsetLikelihood.of(np.append(offsets, 0.0), [*costs, corrected]).gain[-1]),
             float(displaced) if across[displaced] < CLEARLY_LESS * across[0] else 0.0,
         )  # fmt: skip

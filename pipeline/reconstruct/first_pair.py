@@ -107,13 +107,13 @@ def scan_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> ColumnSc
         )
         for pixels in (0, *(sign * each for each in _DISPLACEMENTS_PX for sign in (1, -1)))
     }
+    corrected = search.least_costs(left, right, made.correction, stride=_STRIDE)
     made.clear_prior()
-    return ColumnScan.of(offsets, costs, largest, across)
+    return ColumnScan.of(offsets, costs, largest, across, corrected)
 
 
 def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> MatchResult:
     """Find the projector's column correction from a pair and keep it; returns the match, valid until the next."""
-    made.scan = scan_columns(made, left, right)
     inside = OrderSearch(View.of(made.calibration, made.pattern, made.volume, made.settings))
     offsets = column_correction.offsets_to_try(made.settings.self_calibration_range)
     between = offsets[:-1] + _HALF_STEP
@@ -138,7 +138,7 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
         made.correction = column_correction.affine_fit(along, across, difference, limit=limit)
     middle = (float(np.median(along)), float(np.median(across))) if len(along) else (0.0, 0.0)
     cost = mean_of(made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE))
-    made.clear_prior()
+    made.scan = scan_columns(made, left, right)
     made.other_shifts = column_correction.other_shifts(offsets, with_margin, likelihood, made.correction, cost, middle)
     return match
 

@@ -229,7 +229,7 @@ def test_an_empty_scene_is_unknown():
     assert cloud.consistency.verdict == "unknown"
 
 
-@pytest.mark.parametrize("name", [name for name in LIMITS if np.isfinite(LIMITS[name][0][0])])
+@pytest.mark.parametrize("name", [name for name in LIMITS if np.isfinite(LIMITS[name][0]).all()])
 def test_a_reading_is_judged_by_its_limits_and_only_when_it_is_certain(name: str):
     doubtful, inconsistent = LIMITS[name][0]
     clean = {"column_offset": Reading(0.0, 0.0)}
@@ -259,13 +259,13 @@ def test_a_scan_finds_the_offset_with_the_least_cost_and_its_share_of_unrelated_
     offsets = np.arange(-6.0, 7.0)
     costs = [np.full(500, 0.3, np.float32) for _ in offsets]
     costs[9][:] = 0.06
-    scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1, 1: 0.091, -3: 0.0901})
+    scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1, 1: 0.091, -3: 0.0901}, costs[6])
     assert (scan.offset_px, scan.cost) == (3.0, pytest.approx(0.06))
     assert abs(scan.allowed_px) <= 2
     assert scan.relative_cost == pytest.approx(1.0)
     assert scan.across_px == 0.0  # no displacement costs clearly less than none
-    assert ColumnScan.of(offsets, costs, 2.0, {0: 0.1, 1: 0.09, -3: 0.08}).across_px == -3.0
-    assert ColumnScan.of(offsets, [cost[:10] for cost in costs], 2.0, {0: 0.1}) is None
+    assert ColumnScan.of(offsets, costs, 2.0, {0: 0.1, 1: 0.09, -3: 0.08}, costs[6]).across_px == -3.0
+    assert ColumnScan.of(offsets, [cost[:10] for cost in costs], 2.0, {0: 0.1}, costs[6]) is None
 
 
 def test_costs_count_as_far_as_they_exceed_that_of_noise():
@@ -273,8 +273,33 @@ def test_costs_count_as_far_as_they_exceed_that_of_noise():
     for here, elsewhere, share in ((1.0, 2.0, 0.0), (2.0, 3.0, 0.5), (3.0, 3.0, 1.0), (0.5, 0.8, 0.0)):
         costs = [np.full(500, elsewhere * NOISE_COST, np.float32) for _ in offsets]
         costs[6][:] = here * NOISE_COST
-        scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1})
+        scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1}, costs[6])
         assert scan.relative_cost == pytest.approx(share, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("agreeing", "roll", "verdict", "name"),
+    [
+        (0, 0.0, "inconsistent", "order_cost"),
+        (40, 0.0, "doubtful", "order_cost_beside_agreement"),
+        (40, 0.3, "inconsistent", "order_cost"),
+    ],
+)
+def test_a_high_cost_refutes_nothing_where_patches_and_some_pixels_agree(
+    agreeing: int, roll: float, verdict: str, name: str
+):
+    rng = np.random.default_rng(4)
+    offsets = np.arange(-6.0, 7.0)
+    costs = [rng.exponential(0.1, 500).astype(np.float32) for _ in offsets]
+    corrected = costs[6].copy()
+    corrected[:agreeing] = rng.exponential(0.003, agreeing)
+    scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1}, corrected)
+    images = pair("mixed")
+    checked = reconstructor(turned(LAYOUT.calibration_for(STANDARD), "projector", ROLL, roll), "off")
+    cloud = checked.reconstruct(images.left, images.right)
+    found = checked.new_check().check(images.left, images.right, cloud, scan)
+    assert found.readings[name].value > 0.8
+    assert found.verdict == verdict, found
 
 
 @pytest.mark.parametrize("degrees", [0.1, -0.2, 0.5])
