@@ -70,8 +70,7 @@ class ColumnScan:
         allowed_cost: mean least cost there.
         relative_cost: lower quartile of the pixels' costs at ``allowed_px`` over the median of that quartile over all
             offsets, each less :data:`NOISE_COST`: 0 = every pixel agrees, 1 = no better than unrelated phases.
-        gain: in log likelihood per pixel by assuming, at the correction in use, that some pixels have their right order;
-            see :class:`pipeline.reconstruct.column_correction.OffsetLikelihood`.
+        gain: of :class:`pipeline.reconstruct.column_correction.OffsetLikelihood` at the correction in use.
         across_px: displacement of the right image across the epipolar lines with clearly the least cost, else 0.
     """
 
