@@ -51,7 +51,7 @@ _LEAST_PATCHES = 16
 _CLEARLY_LESS = 0.85
 _AGREEMENT_GAIN = 0.005
 """Gain of :class:`pipeline.reconstruct.consistency.ColumnScan` from which some pixels agree up to noise. Where patches
-agree as well, a high cost of all pixels is that of surfaces out of reach or of an unknown response: it refutes nothing."""
+agree as well, a high cost of all pixels is that of surfaces out of reach or of an unknown response, no refutation."""
 _LEAST_SHARE = 0.05
 
 
