@@ -12,7 +12,10 @@ from benchmarks.reconstruction.cases import Case, random_case, scaled
 from benchmarks.reconstruction.random_rigs import random_rig
 from benchmarks.trust import errors_of
 from pipeline.common.settings import Settings
-from pipeline.fringe_order.order_margins import AMBIGUOUS_SHARE, CELL, SAMPLES, Groups, least_margins
+from pipeline.common.stopwatch import Stopwatch
+from pipeline.fringe_order import order_margins
+from pipeline.fringe_order.left_right_check import UNDECIDED
+from pipeline.fringe_order.order_margins import AMBIGUOUS_SHARE, CELL, SAMPLES, Groups, Limits, least_margins
 from pipeline.reconstruct.column_correction import (
     CLEARLY_MORE,
     COMPARED_WITHIN,
@@ -29,6 +32,7 @@ from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.scene import Scene
 from sim.scene.shapes import rectangle, sphere
+from tests.pipeline.small import images, pair, reconstructor
 
 BLIND = RigLayout(projector_fraction=0.5).scaled(0.25)
 
@@ -88,6 +92,24 @@ def test_large_surfaces_are_sampled_and_rejected_in_cells() -> None:
     valid = (label > 0).astype(np.uint8)
     groups.reject(ambiguous, valid)
     assert ((valid == 0) == (label != 1)).all()
+
+
+def test_all_pixels_of_a_surface_have_other_orders_at_the_same_offset(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The margin with several offsets is the least of those with each; pixels do not choose one of their own."""
+    monkeypatch.setattr(order_margins, "LARGEST_COST", 9.0)  # other orders cost more on textured surfaces
+    made = reconstructor()
+    left, right, order = made.orders(*images(pair("mixed")), Stopwatch(None))
+    label = (order != UNDECIDED).astype(np.uint16)
+    sizes = np.array([label.sum()], np.int32)
+
+    def margins(*shifts: float) -> NDArray[np.float32]:
+        limits, groups = Limits(0.05, np.array(shifts)), Groups(label, sizes, CELL)
+        return made.searches[0]._fine.margins(left, right, made.correction, limits, order, 1, groups)
+
+    both = margins(0.3, -0.3)
+    np.testing.assert_array_equal(both, np.minimum(margins(0.3), margins(-0.3)))
+    assert np.isfinite(both).any()
+    assert (both <= margins()).all()
 
 
 @pytest.mark.parametrize("stride", [1, 2])
