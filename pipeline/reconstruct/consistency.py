@@ -70,8 +70,8 @@ class ColumnScan:
         allowed_cost: mean least cost there.
         relative_cost: lower quartile of the pixels' costs at ``allowed_px`` over the median of that quartile over all
             offsets, each less :data:`NOISE_COST`: 0 = every pixel agrees, 1 = no better than unrelated phases.
-        gain: of :class:`pipeline.reconstruct.column_correction.OffsetLikelihood` at the correction in use.
         across_px: displacement of the right image across the epipolar lines with clearly the least cost, else 0.
+        gain: of :class:`pipeline.reconstruct.column_correction.OffsetLikelihood` at the correction in use.
     """
 
     offset_px: float
@@ -79,8 +79,8 @@ class ColumnScan:
     allowed_px: float
     allowed_cost: float
     relative_cost: float
-    gain: float = 0.0
     across_px: float = 0.0
+    gain: float = 0.0
 
     @classmethod
     def of(
@@ -109,6 +109,6 @@ class ColumnScan:
         displaced = min(across, key=across.__getitem__)
         return cls(
             float(offsets[best]), float(means[best]), float(offsets[allowed]), float(means[allowed]), float(relative),
-            float(OffsetLikelihood.of(np.append(offsets, 0.0), [*costs, corrected]).gain[-1]),
             float(displaced) if across[displaced] < CLEARLY_LESS * across[0] else 0.0,
+            float(OffsetLikelihood.of(np.append(offsets, 0.0), [*costs, corrected]).gain[-1]),
         )  # fmt: skip

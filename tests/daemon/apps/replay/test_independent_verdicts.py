@@ -19,7 +19,9 @@ GOLDEN = Path(__file__).parents[3] / "golden" / "take.mcap"
 @pytest.fixture(autouse=True)
 def strict(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every pair contradicts the calibration."""
-    monkeypatch.setitem(consistency.LIMITS, "order_cost", ((-1.0, -1.0), "of the cost of unrelated phases"))
+    monkeypatch.setitem(
+        consistency.LIMITS, "order_cost_beside_agreement", ((-1.0, -1.0), "of the cost of unrelated phases")
+    )
 
 
 @pytest.fixture(scope="module")

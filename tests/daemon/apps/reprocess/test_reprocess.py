@@ -53,7 +53,9 @@ def test_verdicts_of_large_images_depend_on_the_first_pair_only(
     tmp_path: Path, chunk_pairs: int, verdict: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if verdict == "inconsistent":
-        monkeypatch.setitem(consistency.LIMITS, "order_cost", ((-1.0, -1.0), "of the cost of unrelated phases"))
+        monkeypatch.setitem(
+            consistency.LIMITS, "order_cost_beside_agreement", ((-1.0, -1.0), "of the cost of unrelated phases")
+        )
     for name in ("a.mcap", "a_part002.mcap", "a_part003.mcap"):
         shutil.copy(GOLDEN, tmp_path / name)
     files, verdicts = replayed(tmp_path / "a.mcap")
@@ -192,7 +194,7 @@ def test_a_state_survives_json_and_restores_a_reconstructor() -> None:
     first = capture(made)
     assert not first.settled
     values = 0.1 + 0.2, -1e-17, 1 / 3, 1.1, 0.9, 1.0, 2 / 3
-    state = CarriedState("rgb8", ((values, True),), (0.25, 0.1, 0.25, 0.1, 0.3, -3.0), (0.25, 1 / 3))
+    state = CarriedState("rgb8", ((values, True),), (0.25, 0.1, 0.25, 0.1, 0.3, -3.0, 0.1), (0.25, 1 / 3))
     assert state.settled
     assert CarriedState.from_json(json.loads(json.dumps(state.as_json()))) == state
     restore(made, state)
