@@ -132,8 +132,9 @@ def test_one_frozen_thread_triggers_the_watchdog(running: Fringed, thread: str) 
     with frozen(thread_of(running.pid_outside(before["MainPID"]), thread)):
         running.wait_active(not_pid=before["MainPID"])
     assert running.logged("Watchdog timeout", since)
+    wait_until(lambda: running.logged("watchdog is not fed", since), WAIT_S, "the line of the journal")
     messages = [line for line in running.lines(since) if "watchdog is not fed" in str(line.get("MESSAGE"))]
-    assert messages and thread.split("-")[-1] in messages[0]["MESSAGE"]
+    assert thread.split("-")[-1] in messages[0]["MESSAGE"]
     running.wait_clouds()
 
 
