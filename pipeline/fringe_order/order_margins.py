@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import inline, serial
+from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import TILE
 
@@ -85,20 +85,13 @@ class Groups:
         return nodes[:n], group[nodes[:n]]
 
     def reject(self, ambiguous: NDArray[np.bool_], valid: NDArray[np.uint8]) -> None:
-        """Reject the pixels of ambiguous groups (n,), after :meth:`sampled`; ``valid`` (H, W) is changed."""
-        rejected = ambiguous.copy()
-        cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (rejected, self._pixels))
+        """Reject the surfaces that are ambiguous (n,), after :meth:`sampled`; ``valid`` (H, W) is changed."""
+        cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (ambiguous, self._pixels))
         share = (cells * pixels).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
-        cells[:] = (share >= AMBIGUOUS_SHARE)[:, None]
+        rejected = ambiguous[: self._surfaces].copy()
+        rejected[self._row >= 0] = share >= AMBIGUOUS_SHARE
         # The loop is called without rows as well, or it would be compiled in the middle of a live run.
-        rows = len(valid) if rejected.any() else 0
-        _reject(rows, self._label, self._row, self._cell, self._across, self._cells, rejected, valid)
-
-
-@inline
-def _group_of(k: int, first: int, column: int, row: Any, cells: int) -> int:
-    """Group of a pixel of surface k; ``first``: of the first cell in its row of cells; ``column``: of its cell."""
-    return k if row[k] < 0 else first + row[k] * cells + column
+        _reject(len(valid) if rejected.any() else 0, self._label, rejected, valid)
 
 
 @parallel
@@ -106,7 +99,12 @@ def _group_pixels(
     a: int, label: Any, row: Any, rows: Any, columns: Any, column_cells: Any, cell: int, across: int, cells: int,
     out: Any,
 ) -> None:  # fmt: skip
-    """Group of each pixel of a lattice row, ``out`` (h, w) int32, -1 without one; as :func:`_group_of`."""
+    """Group of each pixel of a lattice row, ``out`` (h, w) int32, -1 without one.
+
+    Args:
+        row: (surfaces,) numbers of the large ones, -1 = not large; rows, columns: as of :meth:`Groups.sampled`.
+        column_cells: (w,) cells of the columns; across, cells: in a row of cells, in the image.
+    """
     i = rows[a]
     if i < 0:
         out[a, :] = -1
@@ -115,7 +113,8 @@ def _group_pixels(
     for b in range(columns.shape[0]):
         j = columns[b]
         k = np.int64(label[i, j]) - 1 if j >= 0 else -1
-        out[a, b] = _group_of(k, first, column_cells[b], row, cells) if k >= 0 else -1
+        large = k >= 0 and row[k] >= 0
+        out[a, b] = first + row[k] * cells + column_cells[b] if large else k
 
 
 @serial
@@ -138,12 +137,10 @@ def _choose(group: Any, most: int, count: Any, left: Any, out: Any) -> int:
 
 
 @parallel
-def _reject(i: int, label: Any, row: Any, cell: int, across: int, cells: int, rejected: Any, valid: Any) -> None:
-    first = row.shape[0] + (i // cell) * across
+def _reject(i: int, label: Any, rejected: Any, valid: Any) -> None:
     for j in range(label.shape[1]):
-        if valid[i, j] != 0 and label[i, j] != 0:
-            k = _group_of(np.int64(label[i, j]) - 1, first, j // cell, row, cells)
-            valid[i, j] = np.uint8(not rejected[k])
+        if label[i, j] != 0 and rejected[np.int64(label[i, j]) - 1]:
+            valid[i, j] = np.uint8(0)
 
 
 @parallel
