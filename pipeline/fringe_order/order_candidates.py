@@ -26,10 +26,12 @@ RAY = 9
 COST_IMPOSSIBLE = np.float32(1000.0)
 """Cost of an order that the pixel cannot have."""
 _COST_OUTSIDE = np.float32(4.0)
+_MOST_TEXTURE = np.float32(0.4)
+"""Less than COST_UNOBSERVED: on narrow bars every pixel is mixed with what is beside it, differently in both images."""
 _MAX_PHASE_CHANGE = np.float32(2.0)
 """Largest change of a pixel's absolute phase from one pair to the next for which the prior is used, radians."""
 _ZERO, _HALF, _ONE, _TWO, _EIGHT = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(8)
-_TURN, _PER_TURN, _TINY, _MOST = np.float32(2 * pi), np.float32(0.5 / pi), np.float32(1e-20), np.float32(0.4)
+_TURN, _PER_TURN, _TINY = np.float32(2 * pi), np.float32(0.5 / pi), np.float32(1e-20)
 
 # Slots of the scratch array of floats (tables take three each), and of the one of integers.
 _PHI, _BIAS, _MEAN, _MOVE = (k * TILE for k in range(4))
@@ -169,7 +171,7 @@ def candidate_costs(
         plain, equal, mean = t[_T0 + j], t[_T1 + j], t[_MEAN + j]
         other_mean = mean_of(p) + f * (mean_of(q) - mean_of(p))
         cost = _ONE - _HALF * (decay(min(plain * plain * inv, _EIGHT)) + decay(min(equal * equal * inv, _EIGHT)))
-        cost += texture * min(abs(mean - other_mean) / (mean + other_mean + _EIGHT), _MOST)
+        cost += min(texture * abs(mean - other_mean) / (mean + other_mean + _EIGHT), _MOST_TEXTURE)
         visible = (t[_VISIBLE + j] > _ZERO) & (np.int32(p & q & VALID) != 0)
         cost = cost if visible else COST_UNOBSERVED
         t[_COST + j] = cost if t[_COST + j] == _ZERO else _COST_OUTSIDE

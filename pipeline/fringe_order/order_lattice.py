@@ -48,16 +48,22 @@ class OrderLattice:
         self.expected = np.full((h, w), np.nan, np.float32)
         self.certain = np.full((h, w), semi_global_aggregation.NONE, np.int16)
 
-    def search_rows(self, reference: PhaseMap, other: PhaseMap, correction: F64, refresh: int, stride: int) -> None:
-        """Compute the candidates' costs at the pixels that are not certain, and aggregate along the rows."""
+    def search_rows(
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, texture: float, refresh: int, stride: int
+    ) -> None:
+        """Compute the candidates' costs at the pixels that are not certain, and aggregate along the rows.
+
+        Args:
+            texture: share of the settings' weight of the texture; refresh, stride: as of :mod:`.strip_search`.
+        """
         view, table, s = self._view, self.table, self._view.settings
         single = self._limit_orders(correction, stride)
         strip_search.search_rows(
             blocks(table.shape[0], strip_search.STRIP), table.top, table.down, table.left, table.step, stride,
             self._rays, reference.phase, reference.descriptors, reference.valid, other.descriptors,
             view.phase_to_column, view.linear, single, np.float32(view.extent), self.labels, view.first_axis,
-            np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),
-            np.float32(s.switch_penalty), self.certain, self.expected, refresh, np.float32(s.follow_cost), self.costs,
+            np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2),
+            np.float32(texture * s.texture_weight), np.float32(s.switch_penalty), self.certain, self.expected, refresh, np.float32(s.follow_cost), self.costs,
             self._total, self.first, self.count, self.place,
         )  # fmt: skip
 
@@ -93,7 +99,7 @@ class OrderLattice:
                 blocks(len(nodes), TILE), nodes, i * reference.phase.shape[1] + j, self._rays, reference.phase,
                 reference.descriptors, other.descriptors, view.phase_to_column, view.linear, shifted,
                 np.float32(view.extent), view.labels, view.first_axis, np.float32(0.5 / s.cost_sigma**2),
-                np.float32(s.texture_weight), first, count, costs,
+                np.float32(order_margins.TEXTURE * s.texture_weight), first, count, costs,
             )  # fmt: skip
             return costs
 

@@ -23,17 +23,22 @@ from pipeline.fringe_order.order_candidates import (  # isort: skip
 )  # fmt: skip
 
 SAMPLES = 32
-"""Lattice pixels of each group that are compared; fewer where it has fewer."""
+"""Lattice pixels of each group that are compared, about; all where it has fewer."""
 CELL = 64
 """Width and height of the cells in which large surfaces are tested, pixels of the left image."""
 LEAST_SHARE = 0.5
 """Share of a group's pixels that must have an order for it to compete."""
 LARGEST_COST = 0.3
-"""Mean cost up to which another order explains a group; saturated surfaces cost as much with their own as with any."""
+"""Cost up to which an order explains a pixel, and in the mean a group: pixels whose own order does not, mostly those at
+a border, and saturated ones are no evidence."""
+TEXTURE = 0.8
+"""Share of the texture's weight in the margins: with all of it surfaces whose texture is that of the wrong place keep
+their orders."""
 EVEN = 0.002
 """Difference of costs up to which two orders explain a pixel alike, where the fringes repeat."""
 AMBIGUOUS_SHARE = 0.35
 """Share of its pixels in ambiguous cells from which a large surface is rejected; its other cells decide fewer."""
+_GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
 
 
 class Limits(NamedTuple):
@@ -119,7 +124,10 @@ def _group_pixels(
 
 @serial
 def _choose(group: Any, most: int, count: Any, left: Any, out: Any) -> int:
-    """Every n-th pixel of each group into ``out``; their number. ``count`` (groups,) zeros; ``left``: scratch."""
+    """About ``most`` pixels of each group into ``out``; their number. ``count`` (groups,) zeros; ``left``: scratch.
+
+    Their distances are pseudo-random: every n-th pixel of a surface whose rows have n would be one column of it.
+    """
     for b in range(group.shape[0]):
         if group[b] >= 0:
             count[group[b]] += 1
@@ -132,7 +140,8 @@ def _choose(group: Any, most: int, count: Any, left: Any, out: Any) -> int:
             if left[k] == 0:
                 out[n] = b
                 n += 1
-                left[k] = (count[k] + most - 1) // most
+                distances = np.uint32(2 * ((count[k] + most - 1) // most) - 1)
+                left[k] = 1 + np.int32((np.uint32(b) * _GOLDEN >> np.uint32(16)) % distances)
     return n
 
 
@@ -180,7 +189,8 @@ def least_margins(
     Args:
         group: (n,) of the sampled pixels; own: their orders, int16; first, count: (n,) of their candidates.
         costs: (n, labels).
-        least_share: of a group's pixels that must have an order for it to compete; largest_cost: its largest mean cost.
+        least_share: of a group's pixels that must have an order for it to compete.
+        largest_cost: of an order that explains a pixel.
         even: as of :class:`Limits`.
     """
     labels = costs.shape[1]
@@ -189,7 +199,7 @@ def least_margins(
     pixels, alike = np.zeros((out.shape[0], 2 * labels), np.int32), np.zeros((out.shape[0], 2 * labels), np.int32)
     for m in range(group.shape[0]):
         k, here = group[m], own[m] - first[m]
-        if here < 0 or here >= count[m]:
+        if here < 0 or here >= count[m] or costs[m, here] > largest_cost:
             continue
         for order in range(count[m]):
             change = order - here + labels

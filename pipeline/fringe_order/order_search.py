@@ -16,6 +16,9 @@ F64 = NDArray[np.float64]
 
 NO_PRIOR = -1
 """Search every row without the prior."""
+UNCALIBRATED = 0.5
+"""Share of the texture's weight while the column offset or the cameras' response is not known: at a wrong offset, and
+with unequal cameras, right orders have different textures as well."""
 
 
 class OrderSearch:
@@ -30,35 +33,38 @@ class OrderSearch:
         """(n,) least cost of each pixel with two candidates at least, on every n-th lattice row."""
         level = self._fine
         level.certain[:] = semi_global_aggregation.NONE
-        level.search_rows(reference, other, correction, NO_PRIOR, stride)
+        level.search_rows(reference, other, correction, UNCALIBRATED, NO_PRIOR, stride)
         some = level.count[::stride] >= 2
         labels = np.arange(level.labels)
         costs = level.costs[level.place[::stride][some][:, None] + labels]
         exists = labels < level.count[::stride][some][:, None]
         return np.asarray(np.where(exists, costs, np.inf).min(axis=1), dtype=np.float32)
 
-    def search(self, reference: PhaseMap, other: PhaseMap, correction: F64, *, use_prior: bool) -> NDArray[np.int16]:
+    def search(
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, *, use_prior: bool, texture: float = 1.0
+    ) -> NDArray[np.int16]:
         """Orders (h, w) of the lattice pixels, valid until the next call.
 
         Args:
             reference, other: phases of this camera's image and of the other's.
             use_prior: search only where the orders of :meth:`set_prior` are contradicted, and a few rows in rotation.
+            texture: share of the settings' weight of the texture.
         """
         coarse, fine, table, view = self._coarse, self._fine, self._view.table, self._view
         if use_prior and self._has_prior:
             # Testing one candidate of each pixel takes less than searching a quarter of them and unwrapping in between.
             self._refresh = (self._refresh + 1) % strip_search.REFRESH
             fine.certain[:] = semi_global_aggregation.NONE
-            fine.search_rows(reference, other, correction, self._refresh, 1)
+            fine.search_rows(reference, other, correction, texture, self._refresh, 1)
         else:
-            coarse.search_rows(reference, other, correction, NO_PRIOR, 1)
+            coarse.search_rows(reference, other, correction, texture, NO_PRIOR, 1)
             coarse.decide(reference)
             interpolate_orders(
                 coarse.order, coarse.confident, reference.phase, reference.valid,
                 table.top, table.down, table.left, table.step,
                 np.float32(view.slopes[0]), np.float32(view.slopes[1]), fine.certain,
             )  # fmt: skip
-            fine.search_rows(reference, other, correction, NO_PRIOR, 1)
+            fine.search_rows(reference, other, correction, texture, NO_PRIOR, 1)
         fine.decide(reference)
         return fine.order
 

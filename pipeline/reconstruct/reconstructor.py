@@ -23,7 +23,7 @@ from pipeline.filter.point_filter import phase_weight
 from pipeline.fringe_order.left_right_check import cross_check
 from pipeline.fringe_order.order_margins import EVEN, Limits
 from pipeline.fringe_order.order_propagation import propagate
-from pipeline.fringe_order.order_search import OrderSearch
+from pipeline.fringe_order.order_search import UNCALIBRATED, OrderSearch
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import MatchResult
 from pipeline.pattern.color_fringe import ColorFringe
@@ -211,15 +211,17 @@ class Reconstructor:
         return first_pair.scan_columns(self, *self._maps)
 
     def match(self, left: PhaseMap, right: PhaseMap) -> MatchResult:
-        """The match of every left pixel by a search without a prior; valid until the next call."""
-        orders = self._orders(left, right, Stopwatch(None), use_prior=False)
+        """The match of every left pixel by the search of an uncalibrated pair; valid until the next call."""
+        orders = self._orders(left, right, Stopwatch(None), use_prior=False, texture=UNCALIBRATED)
         return self.stage(1).match(left, right, orders, self.correction)
 
-    def _orders(self, left: PhaseMap, right: PhaseMap, watch: Stopwatch, *, use_prior: bool) -> NDArray[np.int16]:
+    def _orders(
+        self, left: PhaseMap, right: PhaseMap, watch: Stopwatch, *, use_prior: bool, texture: float = 1.0
+    ) -> NDArray[np.int16]:
         """Fringe order of every left pixel, (H, W), valid until the next call."""
         left_search, right_search = self.searches
-        left_orders = left_search.search(left, right, self.correction, use_prior=use_prior)
-        right_orders = right_search.search(right, left, self.correction, use_prior=use_prior)
+        left_orders = left_search.search(left, right, self.correction, use_prior=use_prior, texture=texture)
+        right_orders = right_search.search(right, left, self.correction, use_prior=use_prior, texture=texture)
         watch.lap("orders")
         cross_check(
             self.left, left, left_orders, self.right, right, right_orders, self.correction, self._kept, self._place
