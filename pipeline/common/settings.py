@@ -30,8 +30,8 @@ class Settings:
     """Step of the order search across it, pixels."""
     cost_sigma: float = 0.5
     """Width of the phase cost."""
-    texture_weight: float = 3.0
-    """Weight of the texture difference in the cost; half of it until the first pair is calibrated."""
+    texture_weight: float = 2.5
+    """Weight of the texture difference in the cost; less until the first pair is calibrated."""
     switch_penalty: float = 1.2
     """Cost of a jump of the absolute order between neighbours."""
     follow_cost: float = 0.15

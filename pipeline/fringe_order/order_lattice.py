@@ -63,8 +63,8 @@ class OrderLattice:
             self._rays, reference.phase, reference.descriptors, reference.valid, other.descriptors,
             view.phase_to_column, view.linear, single, np.float32(view.extent), self.labels, view.first_axis,
             np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2),
-            np.float32(texture * s.texture_weight), np.float32(s.switch_penalty), self.certain, self.expected, refresh, np.float32(s.follow_cost), self.costs,
-            self._total, self.first, self.count, self.place,
+            np.float32(texture * s.texture_weight), np.float32(s.switch_penalty), self.certain, self.expected, refresh,
+            np.float32(s.follow_cost), self.costs, self._total, self.first, self.count, self.place,
         )  # fmt: skip
 
     def _limit_orders(self, correction: F64, stride: int) -> F32:
@@ -107,7 +107,7 @@ class OrderLattice:
             least = np.empty(len(groups), np.float32)
             order_margins.least_margins(
                 group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST,
-                limits.even, least,
+                np.inf if len(limits.shifts) else order_margins.LARGEST_COST, limits.even, least,
             )  # fmt: skip
             return least
 

@@ -29,9 +29,10 @@ CELL = 64
 LEAST_SHARE = 0.5
 """Share of a group's pixels that must have an order for it to compete."""
 LARGEST_COST = 0.3
-"""Cost up to which an order explains a pixel, and in the mean a group: pixels whose own order does not, mostly those at
-a border, and saturated ones are no evidence."""
-TEXTURE = 0.8
+"""Mean cost up to which another order explains a group; saturated surfaces cost as much with their own as with any.
+Where no other projector offset is possible, pixels that cost more with their own order, mostly those at a border, are
+no evidence."""
+TEXTURE = 0.9
 """Share of the texture's weight in the margins: with all of it surfaces whose texture is that of the wrong place keep
 their orders."""
 EVEN = 0.002
@@ -182,7 +183,8 @@ def costs_of_nodes(
 
 @serial
 def least_margins(
-    group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, largest_cost: Any, even: Any, out: Any
+    group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, largest_cost: Any, largest_own: Any,
+    even: Any, out: Any,
 ) -> None:  # fmt: skip
     """Least margin of each group plus its standard error, (groups,) float32; infinite where no other order competes.
 
@@ -190,7 +192,7 @@ def least_margins(
         group: (n,) of the sampled pixels; own: their orders, int16; first, count: (n,) of their candidates.
         costs: (n, labels).
         least_share: of a group's pixels that must have an order for it to compete.
-        largest_cost: of an order that explains a pixel.
+        largest_cost: its largest mean cost; largest_own: cost of a pixel's own order up to which the pixel counts.
         even: as of :class:`Limits`.
     """
     labels = costs.shape[1]
@@ -199,7 +201,7 @@ def least_margins(
     pixels, alike = np.zeros((out.shape[0], 2 * labels), np.int32), np.zeros((out.shape[0], 2 * labels), np.int32)
     for m in range(group.shape[0]):
         k, here = group[m], own[m] - first[m]
-        if here < 0 or here >= count[m] or costs[m, here] > largest_cost:
+        if here < 0 or here >= count[m] or costs[m, here] > largest_own:
             continue
         for order in range(count[m]):
             change = order - here + labels

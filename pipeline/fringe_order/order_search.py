@@ -16,7 +16,7 @@ F64 = NDArray[np.float64]
 
 NO_PRIOR = -1
 """Search every row without the prior."""
-UNCALIBRATED = 0.5
+UNCALIBRATED = 0.6
 """Share of the texture's weight while the column offset or the cameras' response is not known: at a wrong offset, and
 with unequal cameras, right orders have different textures as well."""
 

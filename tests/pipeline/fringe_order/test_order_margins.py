@@ -38,8 +38,8 @@ BLIND = RigLayout(projector_fraction=0.5).scaled(0.25)
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from([-1.0, 0.0, 0.1, 0.4]))
-def test_the_least_margin_is_that_of_the_best_other_order(seed: int, even: float) -> None:
+@given(st.integers(0, 2**32 - 1), st.sampled_from([-1.0, 0.0, 0.1, 0.4]), st.sampled_from([0.4, np.inf]))
+def test_the_least_margin_is_that_of_the_best_other_order(seed: int, even: float, largest_own: float) -> None:
     rng = np.random.default_rng(seed)
     n, labels, groups = 60, 7, 4
     group = rng.integers(0, groups, n).astype(np.int32)
@@ -47,8 +47,8 @@ def test_the_least_margin_is_that_of_the_best_other_order(seed: int, even: float
     own = (first + rng.integers(0, count)).astype(np.int16)
     costs = rng.random((n, labels)).astype(np.float32)
     out = np.empty(groups, np.float32)
-    least_margins(group, own, first, count, costs, 0.5, 0.55, even, out)
-    group[costs[np.arange(n), own - first] > 0.55] = -1  # what its own order does not explain is no evidence
+    least_margins(group, own, first, count, costs, 0.5, 0.55, largest_own, even, out)
+    group[costs[np.arange(n), own - first] > largest_own] = -1
     for k in range(groups):
         margins = []
         for change in range(-labels, labels + 1):
