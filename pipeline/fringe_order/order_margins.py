@@ -39,6 +39,8 @@ EVEN = 0.002
 """Difference of costs up to which two orders explain a pixel alike, where the fringes repeat."""
 AMBIGUOUS_SHARE = 0.35
 """Share of its pixels in ambiguous cells from which a large surface is rejected; its other cells decide fewer."""
+AMBIGUOUS_SHARE_SHIFTED = 0.25
+"""The same where another projector offset explains the pair as well: all of a wall may have wrong orders."""
 _GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
 
 
@@ -90,12 +92,16 @@ class Groups:
         n = _choose(group, SAMPLES, self._pixels, np.empty(len(self), np.int32), nodes)
         return nodes[:n], group[nodes[:n]]
 
-    def reject(self, ambiguous: NDArray[np.bool_], valid: NDArray[np.uint8]) -> None:
-        """Reject the surfaces that are ambiguous (n,), after :meth:`sampled`; ``valid`` (H, W) is changed."""
+    def reject(self, ambiguous: NDArray[np.bool_], valid: NDArray[np.uint8], most: float = AMBIGUOUS_SHARE) -> None:
+        """Reject the surfaces that are ambiguous (n,), after :meth:`sampled`; ``valid`` (H, W) is changed.
+
+        Args:
+            most: share of its pixels in ambiguous cells from which a large surface is rejected.
+        """
         cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (ambiguous, self._pixels))
         share = (cells * pixels).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
         rejected = ambiguous[: self._surfaces].copy()
-        rejected[self._row >= 0] = share >= AMBIGUOUS_SHARE
+        rejected[self._row >= 0] = share >= most
         # The loop is called without rows as well, or it would be compiled in the middle of a live run.
         _reject(len(valid) if rejected.any() else 0, self._label, rejected, valid)
 

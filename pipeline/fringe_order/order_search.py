@@ -82,7 +82,8 @@ class OrderSearch:
         if limits.margin > 0:
             groups = order_margins.Groups(label, sizes, order_margins.CELL // stride)
             margins = self._fine.margins(reference, other, correction, limits, order, stride, groups)
-            groups.reject(margins < limits.margin, valid)
+            most = order_margins.AMBIGUOUS_SHARE_SHIFTED if len(limits.shifts) else order_margins.AMBIGUOUS_SHARE
+            groups.reject(margins < limits.margin, valid, most)
 
     def reject_contradicted(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, order: NDArray[np.int16]
