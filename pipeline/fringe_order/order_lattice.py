@@ -107,7 +107,7 @@ class OrderLattice:
             least = np.empty(len(groups), np.float32)
             order_margins.least_margins(
                 group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST,
-                np.inf if len(limits.shifts) else order_margins.LARGEST_COST, limits.even, least,
+                limits.largest_own, limits.even, least,
             )  # fmt: skip
             return least
 

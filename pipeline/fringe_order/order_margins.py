@@ -57,6 +57,16 @@ class Limits(NamedTuple):
     shifts: NDArray[np.float64]
     even: float = -1.0
 
+    @property
+    def largest_own(self) -> float:
+        """Cost of a pixel's own order up to which the pixel counts."""
+        return np.inf if len(self.shifts) else LARGEST_COST
+
+    @property
+    def ambiguous_share(self) -> float:
+        """Share of its pixels in ambiguous cells from which a large surface is rejected."""
+        return AMBIGUOUS_SHARE_SHIFTED if len(self.shifts) else AMBIGUOUS_SHARE
+
 
 class Groups:
     """The surfaces of an image, large ones divided into cells: first a group for each, then one for each cell.
@@ -92,11 +102,11 @@ class Groups:
         n = _choose(group, SAMPLES, self._pixels, np.empty(len(self), np.int32), nodes)
         return nodes[:n], group[nodes[:n]]
 
-    def reject(self, ambiguous: NDArray[np.bool_], valid: NDArray[np.uint8], most: float = AMBIGUOUS_SHARE) -> None:
+    def reject(self, ambiguous: NDArray[np.bool_], most: float, valid: NDArray[np.uint8]) -> None:
         """Reject the surfaces that are ambiguous (n,), after :meth:`sampled`; ``valid`` (H, W) is changed.
 
         Args:
-            most: share of its pixels in ambiguous cells from which a large surface is rejected.
+            most: as :attr:`Limits.ambiguous_share`.
         """
         cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (ambiguous, self._pixels))
         share = (cells * pixels).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
@@ -198,7 +208,7 @@ def least_margins(
         group: (n,) of the sampled pixels; own: their orders, int16; first, count: (n,) of their candidates.
         costs: (n, labels).
         least_share: of a group's pixels that must have an order for it to compete.
-        largest_cost: its largest mean cost; largest_own: cost of a pixel's own order up to which the pixel counts.
+        largest_cost: its largest mean cost; largest_own: as :attr:`Limits.largest_own`.
         even: as of :class:`Limits`.
     """
     labels = costs.shape[1]

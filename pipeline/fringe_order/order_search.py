@@ -82,8 +82,7 @@ class OrderSearch:
         if limits.margin > 0:
             groups = order_margins.Groups(label, sizes, order_margins.CELL // stride)
             margins = self._fine.margins(reference, other, correction, limits, order, stride, groups)
-            most = order_margins.AMBIGUOUS_SHARE_SHIFTED if len(limits.shifts) else order_margins.AMBIGUOUS_SHARE
-            groups.reject(margins < limits.margin, valid, most)
+            groups.reject(margins < limits.margin, limits.ambiguous_share, valid)
 
     def reject_contradicted(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, order: NDArray[np.int16]

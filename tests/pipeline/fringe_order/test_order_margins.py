@@ -15,7 +15,7 @@ from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.fringe_order import order_margins
 from pipeline.fringe_order.left_right_check import UNDECIDED
-from pipeline.fringe_order.order_margins import AMBIGUOUS_SHARE, CELL, SAMPLES, Groups, Limits, least_margins
+from pipeline.fringe_order.order_margins import CELL, SAMPLES, Groups, Limits, least_margins
 from pipeline.reconstruct.column_correction import (
     CLEARLY_MORE,
     COMPARED_WITHIN,
@@ -80,18 +80,24 @@ def test_large_surfaces_are_sampled_and_rejected_in_cells() -> None:
     counts = np.bincount(group)
     assert counts.max() <= 1.5 * SAMPLES
     assert counts[counts > 0].min() >= SAMPLES // 2 or counts[1] == counts[counts > 0].min()
-    # One cell of fifteen is known by its neighbours; six of them are not.
-    for few, expected in ((1, False), (6, True)):
-        assert (few / 15 >= AMBIGUOUS_SHARE) == expected
+    # One cell of fifteen is known by its neighbours; six of them are not, and four where another offset is possible.
+    alone, shifted = Limits(0.05, np.empty(0)).ambiguous_share, Limits(0.05, np.ones(1)).ambiguous_share
+    for few, most, expected in (
+        (1, alone, False),
+        (4, alone, False),
+        (6, alone, True),
+        (1, shifted, False),
+        (4, shifted, True),
+    ):
         ambiguous = np.zeros(len(groups), bool)
         ambiguous[sorted(set(group[label[i, j] == 1]))[:few]] = True
         valid = (label > 0).astype(np.uint8)
-        groups.reject(ambiguous, valid)
+        groups.reject(ambiguous, most, valid)
         assert ((valid == 0) & (label == 1)).sum() == (15 * CELL * CELL if expected else 0)
     ambiguous[:] = False
     ambiguous[1] = True
     valid = (label > 0).astype(np.uint8)
-    groups.reject(ambiguous, valid)
+    groups.reject(ambiguous, alone, valid)
     assert ((valid == 0) == (label != 1)).all()
 
 
