@@ -8,7 +8,7 @@ DEV    := $(VENV)/.dev
 # One more than there are processors: many tests wait for emulated devices, time-outs or systemd. Each has one thread of
 # numba: threads of loops of microseconds that wait for each other on busy processors take twice the time.
 WORKERS ?= $(shell expr $$(nproc) + 1)
-PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
+INSTALL_PACKAGES := $(BIN)/python tools/install_packages.py --editable
 # Environment of the programs that `make bench` compares with.
 PEERS  := .bench-venv
 # Environment of Open3D, which reads exported files in `make test-all`: its thread library is not that of numba.
@@ -25,14 +25,14 @@ help:
 
 env: $(RIG)  ## the environment only: .venv with what the daemon and the demo need
 
-$(RIG): pyproject.toml distributions/rig/pyproject.toml constraints.txt tools/system-packages
+$(RIG): pyproject.toml distributions/rig/pyproject.toml constraints.txt tools/system-packages tools/install_packages.py
 	tools/system-packages python
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) . --editable './distributions/rig[view]'
+	$(INSTALL_PACKAGES) . --editable './distributions/rig[view]'
 	@touch $@
 
 $(DEV): $(RIG)
-	$(PIP) '.[dev,docs]' --editable './distributions/rig[view,cluster]'
+	$(INSTALL_PACKAGES) '.[dev,docs]' --editable './distributions/rig[view,cluster]'
 	@touch $@
 
 demo: $(RIG)  ## measure a moving object on the simulated rig, live; prints the viewer's address

@@ -141,7 +141,7 @@ def test_an_installed_wheel_compiles_nothing(tmp_path: Path, monkeypatch: pytest
     monkeypatch.undo()
     if not release.levels():
         pytest.skip("kernels are shipped for x86-64-v3 and v4, which this processor cannot run")
-    jobs = [job for job in measuring_jobs("rgb8") if job.startswith(MEASURE) and "check and" in job]
+    jobs = [job for job in measuring_jobs("rgb8") if job.startswith(MEASURE) and "uniqueness" in job]
     compile_archive(release.levels()[0], tmp_path / "kernels", jobs)
     wheels = build_wheels(tmp_path, tmp_path / "kernels")
     python = new_environment(tmp_path / "env", wheels, ["--no-deps", "--no-index"])

@@ -155,6 +155,7 @@ def test_a_killed_worker_is_explained(engine: DaskEngine) -> None:
     assert "none reported that it reached its memory limit" in reason
 
 
+@pytest.mark.long  # starts a cluster of its own; a worker that dies is explained above
 def test_a_worker_that_was_ended_for_lack_of_memory_is_named_as_such(tmp_path: Path) -> None:
     limit = "--memory-limit", "500MiB"
     with (

@@ -60,9 +60,9 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Failing]:
     thread.join()
 
 
-@pytest.mark.parametrize("outage_s", [3, pytest.param(10, marks=pytest.mark.long)])
-def test_two_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
-    store: Failing, tmp_path: Path, images: list[small_take.Images], outage_s: float
+@pytest.mark.parametrize(("workers", "outage_s"), [(1, 3), pytest.param(2, 10, marks=pytest.mark.long)])
+def test_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
+    store: Failing, tmp_path: Path, images: list[small_take.Images], workers: int, outage_s: float
 ) -> None:
     take = write(tmp_path / "a.mcap", images, 12)
     data = take.read_bytes()
@@ -77,7 +77,7 @@ def test_two_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
 
     with (
         cluster.scheduler(tmp_path) as (_, address),
-        cluster.workers(address, 2, tmp_path),
+        cluster.workers(address, workers, tmp_path),
         connected(address) as engine,
     ):
         run = Run(Job(chunk_pairs=2), location("s3://rig/out"), engine, observe=fail_once)

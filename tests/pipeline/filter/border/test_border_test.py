@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.common.parallel_for import blocks
-from pipeline.filter.border.border_figures import Planes, border_figures
-from pipeline.filter.border.border_model import FIGURES, MODEL, BorderModel
+from pipeline.filter.border.border_figures import Planes
+from pipeline.filter.border.border_model import MODEL, BorderModel
 from pipeline.filter.border.border_pixels import ROWS, border_of_row, changes_of_row
 from pipeline.filter.border.border_test import border_test, largest_odds
 from pipeline.filter.texture_agreement import LOSS
@@ -37,12 +37,14 @@ def planes(seed: int = 3, *, behind_mm: float = 60.0) -> Planes:
     )  # fmt: skip
 
 
-def _outcome(p: Planes, probability: float = 0.08, model: BorderModel = MODEL) -> tuple[Any, Any, Any]:
+def _outcome(
+    p: Planes, probability: float = 0.08, model: BorderModel = MODEL, per_order: np.float32 = PER_ORDER
+) -> tuple[Any, Any, Any]:
     """Validity, misfit and sigma after the test."""
     valid, misfit, sigma = (p.label > 0).astype(np.uint8), p.misfit.copy(), p.sigma.copy()
     p = p._replace(misfit=misfit, sigma=sigma)
     border_test(
-        blocks(SHAPE[0], ROWS), p, LOSS.astype(np.float32), 1, PER_ORDER, model, largest_odds(probability), valid,
+        blocks(SHAPE[0], ROWS), p, LOSS.astype(np.float32), 1, per_order, model, largest_odds(probability), valid,
         misfit, sigma,
     )  # fmt: skip
     return valid, misfit, sigma
@@ -101,20 +103,20 @@ def test_sigma_grows_with_the_root_of_the_variance_and_never_shrinks(variance: f
     assert np.allclose(sigma[tested], factor * p.sigma[tested], rtol=1e-5)
 
 
-def test_figures_depend_neither_on_the_unit_nor_on_what_unknown_pixels_hold() -> None:
+def test_the_outcome_depends_neither_on_the_unit_nor_on_what_unknown_pixels_hold() -> None:
     p = planes()
     p.label[20:30, 60:70] = 0
-    first, second = (np.empty((*SHAPE, FIGURES), np.float32) for _ in range(2))
-    losses = LOSS.astype(np.float32)
-    border_figures(blocks(SHAPE[0], ROWS), p, losses, 1, PER_ORDER, first)
+    wrong = np.s_[30:50:4, EDGE - 1]
+    p.xyz[wrong][..., 2] += 0.4 * ORDER_MM
+    p.modulation[wrong], p.mean[wrong], p.deviation[wrong] = 45, 80, 70
+    valid, misfit, sigma = _outcome(p)
     unknown = p.label == 0
     p.xyz[unknown], p.residual[unknown], p.deviation[unknown] = np.nan, 30000, 255
     metres = p._replace(xyz=p.xyz / np.float32(1000), sigma=p.sigma / np.float32(1000))
-    border_figures(blocks(SHAPE[0], ROWS), metres, losses, 1, np.float32(1000) * PER_ORDER, second)
-    here = np.isfinite(first[..., 0])
-    assert (here == np.isfinite(second[..., 0])).all() and here.any()
-    assert not here[unknown].any()
-    assert np.allclose(first[here], second[here], atol=0.02)
+    in_metres = _outcome(metres, per_order=np.float32(1000) * PER_ORDER)
+    assert (valid == in_metres[0]).all() and (misfit[~unknown] == in_metres[1][~unknown]).all()
+    assert (sigma > p.sigma).any() and not valid[~unknown].all()
+    assert np.allclose(sigma[~unknown], 1000 * in_metres[2][~unknown], rtol=0.01)
 
 
 def test_a_border_that_is_near_in_the_right_image_only_counts_too() -> None:
