@@ -39,8 +39,11 @@ EVEN = 0.002
 """Difference of costs up to which two orders explain a pixel alike, where the fringes repeat."""
 AMBIGUOUS_SHARE = 0.35
 """Share of its pixels in ambiguous cells from which a large surface is rejected; its other cells decide fewer."""
-AMBIGUOUS_SHARE_SHIFTED = 0.25
-"""The same where another projector offset explains the pair as well: all of a wall may have wrong orders."""
+CLEAR_GAIN, CLEAR_SHARE = 0.03, 0.5
+"""The same where pixels agree with the projector's offset up to noise and the fringes do not repeat: gain in log
+likelihood from which they do, see :class:`pipeline.reconstruct.column_correction.OffsetLikelihood`."""
+VAGUE_GAIN, VAGUE_SHARE = 0.01, 0.25
+"""The same where hardly any does, and another offset explains the pair as well: all of a wall may have wrong orders."""
 _GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
 
 
@@ -51,11 +54,13 @@ class Limits(NamedTuple):
         margin: the least one, 0 = no test; shifts: (n,) changes of the column correction that other orders may have.
         even: difference of costs up to which two orders explain a pixel alike; surfaces have no margin where the same
             other order does so at more than half of their pixels. Negative: no such test.
+        gain: in log likelihood per pixel, of the column correction.
     """
 
     margin: float
     shifts: NDArray[np.float64]
     even: float = -1.0
+    gain: float = 0.0
 
     @property
     def largest_own(self) -> float:
@@ -65,7 +70,9 @@ class Limits(NamedTuple):
     @property
     def ambiguous_share(self) -> float:
         """Share of its pixels in ambiguous cells from which a large surface is rejected."""
-        return AMBIGUOUS_SHARE_SHIFTED if len(self.shifts) else AMBIGUOUS_SHARE
+        if self.gain >= CLEAR_GAIN and self.even < 0:
+            return CLEAR_SHARE
+        return VAGUE_SHARE if len(self.shifts) and self.gain < VAGUE_GAIN else AMBIGUOUS_SHARE
 
 
 class Groups:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.fringe_order.order_margins import CLEAR_GAIN
 from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, MatchResult
 
@@ -42,9 +43,8 @@ NOISE_COSTS = (0.003, 0.006, 0.012)
 """Mean costs that noise alone gives a pixel with its right order."""
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
 """Shares of such pixels that are tried."""
-_CLEAR_GAIN, _CLEAR_RATIO, _NEAR = 0.03, 1.5, 0.3
-"""Least gain of an offset that replaces the chosen one, how many times the gain near that one it must be, and what is
-near, columns."""
+_CLEAR_RATIO, _NEAR = 1.5, 0.3
+"""How many times the gain near the chosen offset that of one which replaces it must be, and what is near, columns."""
 _SAME, _FARTHER, _MOST_OTHERS = 0.1, 0.2, 2
 """Distance up to which offsets are alike, columns; how much farther from 0 another one may be, as projectors drift
 little; how many others are compared."""
@@ -104,6 +104,11 @@ class OffsetLikelihood(NamedTuple):
                 gain = np.maximum(gain, share @ np.log(1 - part + part * ratio))
         return cls(offsets, gain)
 
+    def at(self, offset: float) -> float:
+        """The gain at an offset."""
+        along = np.argsort(self.offsets)
+        return float(np.interp(offset, self.offsets[along], self.gain[along]))
+
     def near(self, offset: float) -> float:
         """The largest gain near an offset."""
         return float(self.gain[np.abs(self.offsets - offset) <= _NEAR].max(initial=0.0))
@@ -111,7 +116,7 @@ class OffsetLikelihood(NamedTuple):
     def clear_offset(self, chosen: float) -> float:
         """The offset at which clearly more pixels agree up to noise than near the chosen one, if there is one."""
         best = int(np.argmax(self.gain))
-        clearly = self.gain[best] > max(_CLEAR_GAIN, _CLEAR_RATIO * self.near(chosen))
+        clearly = self.gain[best] > max(CLEAR_GAIN, _CLEAR_RATIO * self.near(chosen))
         return float(self.offsets[best]) if clearly else chosen
 
 
@@ -128,14 +133,7 @@ def minima(offsets: F64, values: F64) -> list[int]:
     return [int(n) for n in least[np.argsort(values[least], kind="stable")][:_MOST_MINIMA]]
 
 
-def other_shifts(
-    offsets: F64,
-    with_margin: F64,
-    likelihood: OffsetLikelihood,
-    correction: Correction,
-    cost: float,
-    middle: tuple[float, float],
-) -> F64:
+def other_shifts(offsets: F64, with_margin: F64, likelihood: OffsetLikelihood, here: float, cost: float) -> F64:
     """Changes (n,) of the correction's offset that explain the pair about as well, and halves of them; columns.
 
     A wall behind the volume may agree with wrong orders inside it after a small change of the offset, and then
@@ -144,14 +142,13 @@ def other_shifts(
     Args:
         offsets, with_margin: as of :func:`improbability`; cost: the same of the correction.
         likelihood: offsets whose gain is clearly smaller than that of the correction do not explain the pair.
-        middle: projector coordinates along and across the fringes where the correction is compared with an offset.
+        here: the correction in the middle of the points, columns.
     """
-    here = float(correction @ (1.0, *middle))
     probable = with_margin + PER_COLUMN * np.abs(offsets)
     limit = min(float(probable.min()), cost + PER_COLUMN * abs(here)) + CLEARLY_MORE
     small = np.abs(offsets) <= abs(here) + _FARTHER
     gain = likelihood.near(here)
-    least = gain / _CLEAR_RATIO if gain >= _CLEAR_GAIN else 0.0
+    least = gain / _CLEAR_RATIO if gain >= CLEAR_GAIN else 0.0
     agreeing = np.array([likelihood.near(offset) >= least for offset in offsets])
     others = np.flatnonzero((probable <= limit) & small & agreeing & (np.abs(offsets - here) >= _SAME))
     shifts = offsets[others[np.argsort(probable[others], kind="stable")][:_MOST_OTHERS]] - here

@@ -47,6 +47,7 @@ class Calibrating(Protocol):
     response: NDArray[np.float64]
     calibrated: bool
     other_shifts: NDArray[np.float64]
+    gain: float
     scan: ColumnScan | None
 
     def match(self, left: PhaseMap, right: PhaseMap, /) -> MatchResult:
@@ -136,10 +137,12 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
     if len(difference) >= _LEAST_POINTS:
         limit = made.settings.self_calibration_range + 1.0
         made.correction = column_correction.affine_fit(along, across, difference, limit=limit)
-    middle = (float(np.median(along)), float(np.median(across))) if len(along) else (0.0, 0.0)
+    middle = (np.median(along), np.median(across)) if len(along) else (0.0, 0.0)
+    here = float(made.correction @ (1.0, *middle))
     cost = mean_of(made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE))
     made.scan = scan_columns(made, left, right)
-    made.other_shifts = column_correction.other_shifts(offsets, with_margin, likelihood, made.correction, cost, middle)
+    made.gain = likelihood.at(here)
+    made.other_shifts = column_correction.other_shifts(offsets, with_margin, likelihood, here, cost)
     return match
 
 

@@ -84,6 +84,7 @@ class Reconstructor:
         self.response = camera_response.EQUAL.copy()
         self.calibrated = not self.settings.self_calibrate
         self.other_shifts = np.empty(0)  # of the correction, which explain its pair about as well
+        self.gain = 0.0  # of the correction, in log likelihood per pixel of its pair
         self.scan: ColumnScan | None = None
         self._clock, self._threads = clock, threads
         mosaic = mosaic_of(encoding)
@@ -177,7 +178,7 @@ class Reconstructor:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
         left_map, right_map, order = self.orders(left, right, watch, use_prior=use_prior)
-        limits = Limits(self._least_margin, self.other_shifts, EVEN if self._repeats else -1.0)
+        limits = Limits(self._least_margin, self.other_shifts, EVEN if self._repeats else -1.0, self.gain)
         by_orders = partial(self.searches[0].reject_ambiguous, left_map, right_map, self.correction, limits)
         return self.stage(stride).cloud(left_map, right_map, order, self.correction, watch, reject_ambiguous=by_orders)
 

@@ -26,13 +26,14 @@ class CarriedState:
         encoding: of the images seen last; another one begins with a new reconstructor.
         corrections: what the first item sets in each inner reconstructor, and whether it was measured.
         scan: fields of the first pair's column scan, None without one.
-        shifts: of the correction, which explain the first pair about as well.
+        shifts, gain: of the correction, see :class:`pipeline.fringe_order.order_margins.Limits`.
     """
 
     encoding: str = ""
     corrections: tuple[tuple[tuple[float, ...], bool], ...] = ()
     scan: tuple[float, ...] | None = None
     shifts: tuple[float, ...] = ()
+    gain: float = 0.0
 
     @property
     def settled(self) -> bool:
@@ -46,6 +47,7 @@ class CarriedState:
             "corrections": [[list(values), measured] for values, measured in self.corrections],
             "scan": None if self.scan is None else list(self.scan),
             "shifts": list(self.shifts),
+            "gain": self.gain,
         }
 
     @classmethod
@@ -56,6 +58,7 @@ class CarriedState:
             tuple((tuple(map(float, numbers)), bool(measured)) for numbers, measured in values["corrections"]),
             None if values["scan"] is None else tuple(map(float, values["scan"])),
             _numbers(values.get("shifts", ())),
+            float(values.get("gain", 0.0)),
         )
 
 
@@ -65,7 +68,8 @@ def capture(reconstructor: IndependentVerdicts | SetReconstructor) -> CarriedSta
         inner = reconstructor.inner
         scan = None if inner.scan is None else tuple(map(float, dataclasses.astuple(inner.scan)))
         values, measured = inner.state()
-        return CarriedState(inner.encoding, ((_numbers(values), measured),), scan, _numbers(inner.other_shifts))
+        corrections = ((_numbers(values), measured),)
+        return CarriedState(inner.encoding, corrections, scan, _numbers(inner.other_shifts), inner.gain)
     kept = reconstructor.state()
     return CarriedState(reconstructor.encoding, tuple((_numbers(values), measured) for values, measured in kept))
 
@@ -77,7 +81,7 @@ def restore(reconstructor: IndependentVerdicts | SetReconstructor, state: Carrie
         inner = reconstructor.inner
         inner.restore(pairs[0])
         inner.scan = None if state.scan is None else ColumnScan(*state.scan)
-        inner.other_shifts = np.array(state.shifts)
+        inner.other_shifts, inner.gain = np.array(state.shifts), state.gain
         return
     reconstructor.restore(pairs)
 

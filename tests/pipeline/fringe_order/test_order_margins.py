@@ -80,20 +80,19 @@ def test_large_surfaces_are_sampled_and_rejected_in_cells() -> None:
     counts = np.bincount(group)
     assert counts.max() <= 1.5 * SAMPLES
     assert counts[counts > 0].min() >= SAMPLES // 2 or counts[1] == counts[counts > 0].min()
-    # One cell of fifteen is known by its neighbours; six of them are not, and four where another offset is possible.
-    alone, shifted = Limits(0.05, np.empty(0)).ambiguous_share, Limits(0.05, np.ones(1)).ambiguous_share
-    for few, most, expected in (
-        (1, alone, False),
-        (4, alone, False),
-        (6, alone, True),
-        (1, shifted, False),
-        (4, shifted, True),
-    ):
-        ambiguous = np.zeros(len(groups), bool)
-        ambiguous[sorted(set(group[label[i, j] == 1]))[:few]] = True
-        valid = (label > 0).astype(np.uint8)
-        groups.reject(ambiguous, most, valid)
-        assert ((valid == 0) & (label == 1)).sum() == (15 * CELL * CELL if expected else 0)
+    # One cell of fifteen is known by its neighbours; six of them are not, four where the offset is vague, eight where
+    # pixels agree with it.
+    alone, vague = (Limits(0.05, np.empty(n)).ambiguous_share for n in (0, 1))
+    usual, clear = (Limits(0.05, np.ones(1), gain=gain).ambiguous_share for gain in (0.02, 0.03))
+    assert usual == alone == Limits(0.05, np.empty(0), even=0.0, gain=1.0).ambiguous_share  # where the fringes repeat
+    assert clear == Limits(0.05, np.empty(0), gain=1.0).ambiguous_share
+    for most, kept in ((alone, 5), (vague, 3), (clear, 7)):
+        for few, expected in ((1, 0), (kept, 0), (kept + 1, 15 * CELL * CELL)):
+            ambiguous = np.zeros(len(groups), bool)
+            ambiguous[sorted(set(group[label[i, j] == 1]))[:few]] = True
+            valid = (label > 0).astype(np.uint8)
+            groups.reject(ambiguous, most, valid)
+            assert ((valid == 0) & (label == 1)).sum() == expected
     ambiguous[:] = False
     ambiguous[1] = True
     valid = (label > 0).astype(np.uint8)
@@ -198,22 +197,20 @@ def test_a_wall_that_fits_better_at_a_wrong_offset_does_not_win() -> None:
 
 def test_offsets_that_explain_a_pair_as_well_are_compared() -> None:
     offsets = np.array([0.0, -0.25, 0.25, -0.5, 0.5])
-    here, middle = np.array([0.1, 1e-4, 0.0]), (1000.0, 300.0)  # 0.2 columns in the middle
     costs = np.array([0.1, 0.1 + CLEARLY_MORE, 0.09, 0.2, 0.2])
     none = OffsetLikelihood(offsets, np.zeros(5))
-    assert other_shifts(offsets, costs, none, here, 0.1, middle) == pytest.approx([-0.2, -0.1])
-    assert len(other_shifts(offsets, costs, none, here, 0.05, middle)) == 0
+    assert other_shifts(offsets, costs, none, 0.2, 0.1) == pytest.approx([-0.2, -0.1])
+    assert len(other_shifts(offsets, costs, none, 0.2, 0.05)) == 0
     alike = np.full(5, 0.1)
-    assert other_shifts(offsets, alike, none, here, 0.1, middle) == pytest.approx([-0.2, -0.45, -0.1, -0.225])
+    assert other_shifts(offsets, alike, none, 0.2, 0.1) == pytest.approx([-0.2, -0.45, -0.1, -0.225])
     # Offsets that are much larger are less probable: a bare plane fits at some of them.
-    assert len(other_shifts(offsets, alike, none, np.zeros(3), 0.1, middle)) == 0
+    assert len(other_shifts(offsets, alike, none, 0.0, 0.1)) == 0
     # Nor do those explain the pair at which clearly fewer pixels agree up to noise.
-    far = np.array([0.5, 1e-4, 0.0])  # 0.6 columns
-    assert other_shifts(offsets, alike, none, far, 0.1, middle) == pytest.approx([-0.6, -0.85, -0.3, -0.425])
+    assert other_shifts(offsets, alike, none, 0.6, 0.1) == pytest.approx([-0.6, -0.85, -0.3, -0.425])
     fewer = OffsetLikelihood(offsets, np.array([0.1, 0.1, 0.1, 0.1, 0.3]))
-    assert other_shifts(offsets, alike, fewer, far, 0.1, middle) == pytest.approx([-0.35, -0.175])
+    assert other_shifts(offsets, alike, fewer, 0.6, 0.1) == pytest.approx([-0.35, -0.175])
     as_many = OffsetLikelihood(offsets, np.array([0.25, 0.1, 0.1, 0.1, 0.3]))
-    assert other_shifts(offsets, alike, as_many, far, 0.1, middle) == pytest.approx([-0.6, -0.85, -0.3, -0.425])
+    assert other_shifts(offsets, alike, as_many, 0.6, 0.1) == pytest.approx([-0.6, -0.85, -0.3, -0.425])
 
 
 def _costs(shares: list[float], levels: list[float], pixels: int = 3000) -> list[NDArray[np.float32]]:

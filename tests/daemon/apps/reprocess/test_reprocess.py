@@ -194,7 +194,7 @@ def test_a_state_survives_json_and_restores_a_reconstructor() -> None:
     first = capture(made)
     assert not first.settled
     values = 0.1 + 0.2, -1e-17, 1 / 3, 1.1, 0.9, 1.0, 2 / 3
-    state = CarriedState("rgb8", ((values, True),), (0.25, 0.1, 0.25, 0.1, 0.3, -3.0, 0.1), (0.25, 1 / 3))
+    state = CarriedState("rgb8", ((values, True),), (0.25, 0.1, 0.25, 0.1, 0.3, -3.0, 0.1), (0.25, 1 / 3), 0.7)
     assert state.settled
     assert CarriedState.from_json(json.loads(json.dumps(state.as_json()))) == state
     restore(made, state)
