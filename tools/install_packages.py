@@ -1,7 +1,7 @@
 """Install packages where the Python that runs this is: ``.venv/bin/python tools/install_packages.py PACKAGE ...``.
 
-uv does it, in a tenth of pip's time. Where pip does not find uv, is configured in a way that has no counterpart, or uv
-fails, pip does. Arguments are those of ``pip install``; versions are those of constraints.txt.
+uv does it, in a fifth of pip's time. Where pip does not find uv or has settings without a counterpart, or uv fails, pip
+does. Arguments are those of ``pip install``; versions are those of constraints.txt.
 """
 
 from __future__ import annotations
@@ -20,18 +20,23 @@ UV += ["--index-strategy", "unsafe-best-match"]  # all indexes count alike, as f
 SOURCES = {"index-url": "--default-index", "extra-index-url": "--index", "find-links": "--find-links",
            "constraint": "--constraint"}  # fmt: skip
 """Settings of pip about where packages come from, which uv does not read, and its options."""
-NO_COUNTERPART = {"no-index", "proxy", "trusted-host", "client-cert", "keyring-provider", "only-binary", "no-binary"}
+WITHOUT_EFFECT = {"cache-dir", "default-timeout", "disable-pip-version-check", "no-cache-dir", "no-color", "no-input",
+                  "progress-bar", "quiet", "require-virtualenv", "retries", "root-user-action", "timeout"}  # fmt: skip
+"""Settings that change nothing about what is installed; with any other, pip installs."""
+SECTIONS = "global", "install", ":env:"
+"""Of pip's settings, a later one replaces an earlier one; those of other commands are in others."""
 
 
 def uv_options(settings: str) -> tuple[list[str], dict[str, str]] | None:
     """Options and environment variables of uv for what ``pip config list`` prints; None where it has none."""
-    found: dict[str, list[str]] = {}
-    for line in settings.splitlines():  # a later line replaces an earlier one of the same name
+    sections: dict[str, dict[str, list[str]]] = {section: {} for section in SECTIONS}
+    for line in settings.splitlines():
         name, _, value = line.partition("=")
         section, _, key = name.rpartition(".")
-        if section in ("global", "install", ":env:"):
-            found[key] = " ".join(shlex.split(value)).split()
-    if found.keys() & NO_COUNTERPART:
+        if section in sections:
+            sections[section][key] = " ".join(shlex.split(value)).split()
+    found = {key: values for section in SECTIONS for key, values in sections[section].items()}
+    if found.keys() - SOURCES.keys() - WITHOUT_EFFECT - {"cert"}:
         return None
     options = [part for key, option in SOURCES.items() for each in found.get(key, []) for part in (option, each)]
     return options, {"SSL_CERT_FILE": found["cert"][0]} if found.get("cert") else {}

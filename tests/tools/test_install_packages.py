@@ -37,13 +37,15 @@ def test_pips_sources_are_uvs_options() -> None:
     assert variables == {"SSL_CERT_FILE": "/etc/ca.crt"}
 
 
-def test_a_later_setting_replaces_an_earlier_one() -> None:
+def test_settings_of_the_command_replace_general_ones_and_the_environment_both() -> None:
     lines = "global.index-url='https://a.example'\ninstall.index-url='https://b.example'\n"
     assert install_packages.uv_options(lines) == (["--default-index", "https://b.example"], {})
+    lines = f":env:.index-url='https://c.example'\n{lines}"  # the order in which pip prints them
+    assert install_packages.uv_options(lines) == (["--default-index", "https://c.example"], {})
 
 
-@pytest.mark.parametrize("setting", sorted(install_packages.NO_COUNTERPART))
-def test_other_sources_are_left_to_pip(setting: str) -> None:
+@pytest.mark.parametrize("setting", ["no-index", "proxy", "trusted-host", "no-binary", "target", "one of a later pip"])
+def test_other_settings_are_left_to_pip(setting: str) -> None:
     assert install_packages.uv_options(f"global.{setting}='x'\n") is None
 
 
