@@ -122,7 +122,7 @@ def test_a_frozen_process_is_killed_and_restarted(running: Fringed) -> None:
     since, before = running.cursor(), running.show()
     os.kill(running.pid_outside(before["MainPID"]), signal.SIGSTOP)
     running.wait_active(not_pid=before["MainPID"])
-    assert running.logged("Watchdog timeout", since)
+    wait_until(lambda: running.logged("Watchdog timeout", since), WAIT_S, "the reason")
     running.wait_clouds()
 
 
@@ -131,7 +131,7 @@ def test_one_frozen_thread_triggers_the_watchdog(running: Fringed, thread: str) 
     since, before = running.cursor(), running.show()
     with frozen(thread_of(running.pid_outside(before["MainPID"]), thread)):
         running.wait_active(not_pid=before["MainPID"])
-    assert running.logged("Watchdog timeout", since)
+    wait_until(lambda: running.logged("Watchdog timeout", since), WAIT_S, "the reason")
     wait_until(lambda: running.logged("watchdog is not fed", since), WAIT_S, "the line of the journal")
     messages = [line for line in running.lines(since) if "watchdog is not fed" in str(line.get("MESSAGE"))]
     assert thread.split("-")[-1] in messages[0]["MESSAGE"]
@@ -188,7 +188,7 @@ def test_an_invalid_rig_is_not_retried(started: Fringed) -> None:
     started.start(rig() + "nonsense: 1\n", wait=False)
     shown = started.wait("the failed state", lambda shown: shown["ActiveState"] == "failed")
     assert shown["NRestarts"] == "0"
-    assert started.logged("nonsense", since)
+    wait_until(lambda: started.logged("nonsense", since), WAIT_S, "the reason")
     started.stop()
 
 
@@ -209,7 +209,7 @@ def test_a_stop_is_orderly(running: Fringed) -> None:
     running.machine.systemctl("stop", SERVICE)
     shown = running.show()
     assert (shown["ActiveState"], shown["Result"]) == ("inactive", "success")
-    assert running.logged("stopped:", since)
+    wait_until(lambda: running.logged("stopped:", since), WAIT_S, "the last line")
     assert not (running.machine.root / "run/fringed").exists()
     take = running.machine.run("fringed", "info", file).stdout
     assert "pairs" in take
