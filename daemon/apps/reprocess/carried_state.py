@@ -52,13 +52,13 @@ class CarriedState:
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> CarriedState:
-        """The state of a manifest."""
+        """The state of a manifest; KeyError, ValueError or TypeError where part of it is missing or no number."""
         return cls(
             str(values["encoding"]),
             tuple((tuple(map(float, numbers)), bool(measured)) for numbers, measured in values["corrections"]),
             None if values["scan"] is None else tuple(map(float, values["scan"])),
-            _numbers(values.get("shifts", ())),
-            float(values.get("gain", 0.0)),
+            _numbers(values["shifts"]),
+            float(values["gain"]),
         )
 
 

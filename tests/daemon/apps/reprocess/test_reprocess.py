@@ -197,6 +197,9 @@ def test_a_state_survives_json_and_restores_a_reconstructor() -> None:
     state = CarriedState("rgb8", ((values, True),), (0.25, 0.1, 0.25, 0.1, 0.3, -3.0, 0.1), (0.25, 1 / 3), 0.7)
     assert state.settled
     assert CarriedState.from_json(json.loads(json.dumps(state.as_json()))) == state
+    for name in state.as_json():  # a manifest of an earlier program is not continued
+        with pytest.raises(KeyError, match=name):
+            CarriedState.from_json({key: value for key, value in state.as_json().items() if key != name})
     restore(made, state)
     assert capture(made) == state
     restore(made, first)
