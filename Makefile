@@ -5,9 +5,9 @@ BIN    := $(VENV)/bin
 # Two stages of one environment: what the daemon, the demo and the benchmarks need, and what only tests and checks need.
 RIG    := $(VENV)/.rig
 DEV    := $(VENV)/.dev
-# One more than there are processors: many tests wait for emulated devices, time-outs or systemd. Each has one thread of
-# numba: threads of loops of microseconds that wait for each other on busy processors take twice the time.
-WORKERS ?= $(shell expr $$(nproc) + 1)
+# Two more than there are processors: half of the tests' time is waiting, for emulated devices, time-outs or systemd. Each
+# has one thread of numba: threads of loops of microseconds that wait for each other on busy processors take twice the time.
+WORKERS ?= $(shell expr $$(nproc) + 2)
 INSTALL_PACKAGES := $(BIN)/python tools/install_packages.py --editable
 # Environment of the programs that `make bench` compares with.
 PEERS  := .bench-venv
