@@ -6,9 +6,9 @@ import gc
 import os
 import sys
 
-# numba keeps most of what it makes for a kernel: searching it for garbage as often as Python does takes a twentieth of
+# numba keeps most of what it makes for a kernel: garbage collection as often as Python's default takes a twentieth of
 # the compilation.
-_GARBAGE = 20_000, 50, 100
+_COLLECTION = 20_000, 50, 100
 
 
 def main() -> None:
@@ -17,7 +17,7 @@ def main() -> None:
 
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # whatever a library prints is no answer
-    gc.set_threshold(*_GARBAGE)
+    gc.set_threshold(*_COLLECTION)
     for line in sys.stdin:
         run_job(line.strip())
         answers.write("done\n")
