@@ -109,7 +109,9 @@ def test_every_series_holds_the_standard_case() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "options", [{"use_prior": True}, {"stride": 2}, pytest.param({}, marks=pytest.mark.long)], ids=str
+    "options",
+    [{"use_prior": True}, *(pytest.param(options, marks=pytest.mark.long) for options in ({"stride": 2}, {}))],
+    ids=str,
 )
 def test_a_job_is_timed_in_a_process_of_its_own(pair: StoredPair, tmp_path: Path, options: dict[str, object]) -> None:
     timing = timed(SMALL, [pair], 1, 3, clouds=tmp_path, **options)

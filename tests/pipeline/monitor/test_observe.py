@@ -47,7 +47,7 @@ def changes(*disturbances: Disturbance) -> dict[str, float]:
     return {name: after[name].value - still()[name].value for name in after}
 
 
-@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
+@pytest.mark.parametrize("encoding", ["rgb8", pytest.param("bayer_rggb8", marks=pytest.mark.long)])
 def test_an_undisturbed_rig_reads_nothing(encoding: str) -> None:
     readings = still() if encoding == "rgb8" else read(rig(encoding=encoding))
     for name, reading in readings.items():

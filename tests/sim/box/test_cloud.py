@@ -36,7 +36,7 @@ def line(name: str, scored: Score) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
+@pytest.mark.parametrize("encoding", ["rgb8", pytest.param("bayer_rggb8", marks=pytest.mark.long)])
 def test_the_loop_costs_no_accuracy(make_box: Callable[..., Box], encoding: str) -> None:
     box = make_box(encoding=encoding)
     truth, _ = render_pair.truths(box.options.layout, box.stage.scene, box.options.layout.pattern())

@@ -122,7 +122,16 @@ def test_an_unfinished_loop_goes_on_where_it_ended(options: SimOptions, ended: P
         growing.close()
 
 
-@pytest.mark.parametrize("damage", ["image", "first image", "short", "sums", "number", "other shape"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "image",
+        "sums",
+        "number",
+        "other shape",
+        *(pytest.param(k, marks=pytest.mark.long) for k in ("first image", "short")),
+    ],
+)
 def test_damaged_images_of_an_unfinished_loop_are_rendered_again(
     options: SimOptions, damage: str, ended: Path, expected_pairs: list[tuple[loops.Image, loops.Image]]
 ) -> None:

@@ -107,7 +107,7 @@ def same(a: View, b: View) -> None:
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("first", [0, 1000, (1 << 32) - 30])
+@pytest.mark.parametrize("first", [0, pytest.param(1000, marks=pytest.mark.long), (1 << 32) - 30])
 def test_a_take_gives_the_same_views_as_the_folder(tmp_path: Path, capture_folder: Path, first: int) -> None:
     take_of(capture_folder, tmp_path / "t.mcap", first=first)
     folder, take = CaptureFolder(capture_folder), open_source(tmp_path / "t.mcap")

@@ -47,7 +47,7 @@ def test_clouds_and_verdicts_are_those_of_a_replay(take: Path, tmp_path: Path, c
     assert (totals.done, totals.computed, totals.items) == (11, 11, 11)
 
 
-@pytest.mark.parametrize("chunk_pairs", [1, 3])
+@pytest.mark.parametrize("chunk_pairs", [pytest.param(1, marks=pytest.mark.long), 3])
 @pytest.mark.parametrize("verdict", ["consistent", "inconsistent"])
 def test_verdicts_of_large_images_depend_on_the_first_pair_only(
     tmp_path: Path, chunk_pairs: int, verdict: str, monkeypatch: pytest.MonkeyPatch
