@@ -25,7 +25,9 @@ OWN_DEPTH, N, BESIDE, SUMS = 7, 8, 9, 10
 SX, SY, SXX, SXY, SYY, SZ, SXZ, SYZ, SZZ = range(15, 24)
 OFF, SLOPE, RMS = range(24, 27)
 BESIDE_RIGHT = 27
-SLOTS = 28
+OUT = 28
+"""The figures."""
+SLOTS = OUT + FIGURES
 
 
 class Planes(NamedTuple):
@@ -119,12 +121,12 @@ def _plane(t: Any) -> None:
 
 
 @serial
-def figures(p: Any, losses: Any, stride: int, per_order: Any, at: Any, t: Any, out: Any) -> None:
-    """The figures of up to TILE pixels.
+def figures(p: Any, losses: Any, stride: int, per_order: Any, at: Any, t: Any) -> None:
+    """The figures of up to TILE pixels, into the slots from OUT on.
 
     Args:
         p: :class:`Planes`; losses: (256,) float32, by deviation; per_order: change of 1 / z from order to order.
-        at: (n, 2) int32, rows and columns; t: (SLOTS TILE,) float32, scratch; out: (FIGURES, TILE) float32.
+        at: (n, 2) int32, rows and columns; t: (SLOTS TILE,) float32, scratch.
     """
     f, one = np.float32, np.float32(1.0)
     n = at.shape[0]
@@ -135,7 +137,7 @@ def figures(p: Any, losses: Any, stride: int, per_order: Any, at: Any, t: Any, o
         p.xyz.reshape(-1), p.sigma.reshape(-1),
     )  # fmt: skip
     own, place, depth_place = np.empty(TILE, np.uint16), np.empty(n, np.int32), np.empty(n, np.int32)
-    t[:] = f(0.0)
+    t[: OUT * TILE] = f(0.0)
     for m in range(n):
         i, j = at[m, 0], at[m, 1]
         place[m], depth_place[m] = i * width + j, i * wide + 3 * stride * j + 2
@@ -157,12 +159,15 @@ def figures(p: Any, losses: Any, stride: int, per_order: Any, at: Any, t: Any, o
             f(flat.residual[k]),
             distance_right(p.label[i], p.right_u[i], j),
         )
-    _compare(t, per_order, one / f(stride), out)
+    _compare(t, per_order, one / f(stride))
 
 
 @serial
-def _compare(t: Any, per_order: Any, per_stride: Any, out: Any) -> None:
-    """The figures (FIGURES, TILE) from the sums and the pixels' own values; each between 0 and about 2."""
+def _compare(t: Any, per_order: Any, per_stride: Any) -> None:
+    """The figures from the sums and the pixels' own values; each between 0 and about 2.
+
+    In the same array: the compiler then sees that they do not overlap with what they are computed from.
+    """
     f, one = np.float32, np.float32(1.0)
     for m in range(TILE):
         n, z = t[N * TILE + m], max(t[OWN_DEPTH * TILE + m], f(1e-3))
@@ -170,28 +175,36 @@ def _compare(t: Any, per_order: Any, per_stride: Any, out: Any) -> None:
         off, sigma = t[OFF * TILE + m] * orders, t[DEPTH * TILE + m] * orders
         rms, slope = t[RMS * TILE + m] * orders, t[SLOPE * TILE + m] * orders * per_stride
         residual, normalised = t[(SUMS + 4) * TILE + m] * per, t[(SUMS + 3) * TILE + m] * per
-        out[0, m], out[1, m] = t[BESIDE * TILE + m] * f(0.25), n * f(1 / 12)
-        out[2, m] = min(t[LOSS_OF * TILE + m] * f(1 / DEVIATION_STEPS), f(6.0)) * f(1 / 3)
-        out[3, m] = min(t[SUMS * TILE + m] * per, f(3.0))
-        out[4, m] = min(abs(t[SECOND * TILE + m] - residual) * f(RESIDUAL_STEP), one)
-        out[5, m] = min(abs(t[FIRST * TILE + m] - normalised) * f(4 * RESIDUAL_STEP), f(2.0))
-        out[6, m] = min(t[MODULATION * TILE + m] * n / max(t[(SUMS + 1) * TILE + m], one), f(1.2))
-        out[7, m] = min(abs(t[MEAN * TILE + m] * n / max(t[(SUMS + 2) * TILE + m], one) - one), one)
-        out[8, m], out[9, m] = off / (off + f(0.03)), sigma / (sigma + f(0.003))
-        out[10, m], out[11, m] = rms / (rms + f(0.01)), slope / (slope + f(0.02))
-        out[12, m], out[13, m] = t[SAME * TILE + m] * f(1 / MISFIT_STEPS), off / (off + f(3.0) * sigma + f(1e-9))
-        out[14, m] = t[BESIDE_RIGHT * TILE + m]
+        t[(OUT + 0) * TILE + m], t[(OUT + 1) * TILE + m] = t[BESIDE * TILE + m] * f(0.25), n * f(1 / 12)
+        t[(OUT + 2) * TILE + m] = min(t[LOSS_OF * TILE + m] * f(1 / DEVIATION_STEPS), f(6.0)) * f(1 / 3)
+        t[(OUT + 3) * TILE + m] = min(t[SUMS * TILE + m] * per, f(3.0))
+        t[(OUT + 4) * TILE + m] = min(abs(t[SECOND * TILE + m] - residual) * f(RESIDUAL_STEP), one)
+        t[(OUT + 5) * TILE + m] = min(abs(t[FIRST * TILE + m] - normalised) * f(4 * RESIDUAL_STEP), f(2.0))
+        t[(OUT + 6) * TILE + m] = min(t[MODULATION * TILE + m] * n / max(t[(SUMS + 1) * TILE + m], one), f(1.2))
+        t[(OUT + 7) * TILE + m] = min(abs(t[MEAN * TILE + m] * n / max(t[(SUMS + 2) * TILE + m], one) - one), one)
+        t[(OUT + 8) * TILE + m], t[(OUT + 9) * TILE + m] = off / (off + f(0.03)), sigma / (sigma + f(0.003))
+        t[(OUT + 10) * TILE + m], t[(OUT + 11) * TILE + m] = rms / (rms + f(0.01)), slope / (slope + f(0.02))
+        t[(OUT + 12) * TILE + m] = t[SAME * TILE + m] * f(1 / MISFIT_STEPS)
+        t[(OUT + 13) * TILE + m] = off / (off + f(3.0) * sigma + f(1e-9))
+        t[(OUT + 14) * TILE + m] = t[BESIDE_RIGHT * TILE + m]
+
+
+@inline
+def figures_of(t: Any) -> Any:
+    """The figures of :func:`figures` as (FIGURES, TILE), a view."""
+    return t[OUT * TILE :].reshape(FIGURES, TILE)
 
 
 @parallel
 def border_figures(band: int, planes: Any, losses: Any, stride: int, per_order: Any, out: Any) -> None:
     """The figures of every border pixel of a band, (H, W, FIGURES) float32, NaN elsewhere, to fit the model to."""
     at = np.empty((ROWS * planes.label.shape[1] + 1, 2), np.int32)
-    t, x = np.empty(SLOTS * TILE, np.float32), np.empty((FIGURES, TILE), np.float32)
+    t = np.empty(SLOTS * TILE, np.float32)
+    x = figures_of(t)
     out[band * ROWS : (band + 1) * ROWS] = np.nan
     n = pixels_of_band(planes.label, planes.right_u, band, at)
     for start in range(0, n, TILE):
         some = at[start : min(start + TILE, n)]
-        figures(planes, losses, stride, per_order, some, t, x)
+        figures(planes, losses, stride, per_order, some, t)
         for m in range(some.shape[0]):
             out[some[m, 0], some[m, 1]] = x[:, m]

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import TILE
-from pipeline.filter.border.border_figures import SLOTS, figures
+from pipeline.filter.border.border_figures import SLOTS, figures, figures_of
 from pipeline.filter.border.border_model import FIGURES
 from pipeline.filter.border.border_pixels import ROWS, pixels_of_band
 
@@ -73,12 +73,12 @@ def border_test(
         valid: (H, W) uint8, changed; misfit: (H, W) uint8, set to 0 where ``sigma`` (stride H, stride W) is widened.
     """
     at = np.empty((ROWS * planes.label.shape[1] + 1, 2), np.int32)
-    t, x = np.empty(SLOTS * TILE, np.float32), np.empty((FIGURES, TILE), np.float32)
-    odds, more = np.empty(TILE, np.float32), np.empty(TILE, np.float32)
+    t, odds, more = np.empty(SLOTS * TILE, np.float32), np.empty(TILE, np.float32), np.empty(TILE, np.float32)
+    x = figures_of(t)
     n = pixels_of_band(planes.label, planes.right_u, band, at)
     for start in range(0, n, TILE):
         some = at[start : min(start + TILE, n)]
-        figures(planes, losses, stride, per_order, some, t, x)
+        figures(planes, losses, stride, per_order, some, t)
         for k in range(FIGURES):
             mean, scale = model.mean[k], model.scale[k]
             for m in range(TILE):
