@@ -3,13 +3,13 @@
 A surface that areas seen by one camera only make up agrees in left and right phase by construction, but its texture is
 that of two different places, and it has no reason to agree with the projector's phase. Both are counted as
 logarithms of likelihood ratios, true against false. A texture that would agree at displaced places as well, as that of
-a bare wall, is hardly any evidence for a surface.
+a bare wall, is hardly any evidence for a surface. See :mod:`pipeline.filter.surfaces.surface_evidence`.
 """
 
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,26 +18,14 @@ from pipeline.common.connected_components import Surfaces
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 from pipeline.filter.occlusion.uniqueness import PARTS
+from pipeline.filter.surfaces.surface_evidence import Figures, log_likelihood_ratio, ratio_of_inside
 from pipeline.filter.texture_agreement import AMPLITUDE_SHARE, DEVIATION_STEPS, LOSS, Scale
 from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
 
 _NO = np.uint8(0)
 _LOSS_STEPS = 64.0
 _LOSSES = np.rint(_LOSS_STEPS * LOSS).astype(np.int64)
-_TEXTURE_PIXELS, _PHASE_PIXELS = 25.0, 120.0
-"""Pixels that share one independent deviation of the texture, of the projector's phase."""
-_TEXTURE_FLOOR = -2.0
-"""Logarithm of the share of true surfaces, glossy ones, whose texture differs between the cameras."""
-_PHASE_LIMIT, _TEXTURE_LIMIT, _UNIFORM_LIMIT = 3.0, 6.0, 1.0
-"""Most evidence of the projector's phase, of a texture, and of a texture that agrees at displaced places as well."""
-_NEUTRAL_RESIDUAL, _NEUTRAL_INSIDE = 0.05, 0.07
-"""Rms of the phase against the projector at which it is no evidence, radians; the second inside a surface whose
-texture agrees."""
-_LOSS_VARIANCE = 0.5
 _LARGE_STEP = 4
-FALSE_SHARE, BLIND_SHARE = 0.3, 0.12
-"""Share between both means at which the loss of a surface is no evidence: false ones agree in part, by chance and by
-the search for the best order; the second where the projector's phase does not help."""
 LEAST_RATIO, LEAST_BLIND = -1.0, 1.5
 """Logarithm of the likelihood ratio below which a surface is rejected; the second where the projector's phase does not
 help: there wrong orders are as probable as right ones before texture is considered."""
@@ -49,27 +37,10 @@ where no window of the phase reaches its border."""
 _LEAST_INSIDE, _LEAST_PAIRS, _DISTINCT = 0.25, 0.4, 0.5
 """Share of a surface's pixels that must be inside, or be compared with others; the latter is not asked where the
 weight of the projector's phase is below the third."""
-_SQUARES, _LOSS, _PIXELS, _SQUARES_INSIDE, _PIXELS_INSIDE, _OWN_LOSS, _PAIRS, _AT_SIDE = range(8)
-
-
-class Figures(NamedTuple):
-    """What is known of surfaces, (n,) each.
-
-    Args:
-        pixels: their number; mean_loss: of the textures' deviations between the cameras.
-        rms: phase against the projector, radians; rms_inside: the same away from the surface's border, NaN where it
-            has no inside.
-        own_loss: mean loss of the deviations in the left image between pixels :data:`DISPLACED` apart; NaN for
-            surfaces too narrow for it.
-        at_side: bool, most of its rows are narrower than that and end at the image's left or right side.
-    """
-
-    pixels: Any
-    mean_loss: Any
-    rms: Any
-    rms_inside: Any
-    own_loss: Any
-    at_side: Any
+_AGREEING = 3 * DEVIATION_STEPS // 2
+"""Deviation up to which pixels of such a surface are kept: what surrounds its inside may belong to another one."""
+_SUMS = 9
+_SQUARES, _LOSS, _PIXELS, _SQUARES_INSIDE, _LOSS_INSIDE, _PIXELS_INSIDE, _OWN_LOSS, _PAIRS, _AT_SIDE = range(_SUMS)
 
 
 @parallel
@@ -77,7 +48,7 @@ def _sums(
     part: int, valid: Any, first: Any, second: Any, deviation: Any, losses: Any, start: Any, stop: Any, count: Any, row:
     Any, surface: Any, size: Any, large: int, total: Any,
 ) -> None:  # fmt: skip
-    """Sums of squared residuals and of losses, and pixels, of surfaces, (8, PARTS, surfaces) int64.
+    """Sums of squared residuals and of losses, and pixels, of surfaces, (9, PARTS, surfaces) int64.
 
     Of surfaces from a size on some rows are enough.
     """
@@ -114,10 +85,10 @@ def _own_loss(valid: Any, mean: Any, valid0: Any, mean0: Any, per: Any, losses: 
 
 @parallel
 def _sums_of_small(
-    part: int, valid: Any, first: Any, second: Any, mean: Any, displaced: int, inset: int, per: Any, losses: Any,
-    start: Any, stop: Any, count: Any, row: Any, surface: Any, size: Any, large: int, total: Any,
+    part: int, valid: Any, first: Any, second: Any, deviation: Any, mean: Any, displaced: int, inset: int, per: Any,
+    losses: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, size: Any, large: int, total: Any,
 ) -> None:  # fmt: skip
-    """The other sums of surfaces below a size: of residuals inside, and of losses of their own texture.
+    """The other sums of surfaces below a size: of residuals and losses inside, and of losses of their own texture.
 
     Narrow runs have no pixels so far apart. At the image's side they are compared with those as many rows above.
     """
@@ -128,11 +99,12 @@ def _sums_of_small(
             k = surface[row[i] + t]
             if k < 0 or size[k] >= large:
                 continue
-            squares, pixels, begin, end = np.int64(0), 0, start[i, t], stop[i, t]
+            squares, loss_inside, pixels, begin, end = np.int64(0), np.int64(0), 0, start[i, t], stop[i, t]
             for j in range(begin + inset, end - inset):
                 if valid[i, j] != 0:
                     a, b = np.int64(first[i, j]), np.int64(second[i, j])
                     squares += min(a * a, b * b)
+                    loss_inside += losses[deviation[i, j]]
                     pixels += 1
             wide = end - begin > displaced
             at_side = not wide and (begin == 0 or end == valid.shape[1])
@@ -143,6 +115,7 @@ def _sums_of_small(
                                         valid[i - up, begin : end - back], mean[i - up, begin : end - back], per,
                                         losses)  # fmt: skip
             total[_SQUARES_INSIDE, part, k] += squares
+            total[_LOSS_INSIDE, part, k] += loss_inside
             total[_PIXELS_INSIDE, part, k] += pixels
             total[_OWN_LOSS, part, k] += loss
             total[_PAIRS, part, k] += pairs
@@ -160,6 +133,18 @@ def reject_surfaces(
             valid[i, start[i, t] : stop[i, t]] = _NO
 
 
+@parallel
+def _reject_deviating(
+    i: int, doubtful: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, deviation: Any, valid: Any
+) -> None:
+    """Reject the pixels of doubtful surfaces that do not agree themselves."""
+    for t in range(count[0, i]):
+        k = surface[row[i] + t]
+        if k >= 0 and doubtful[k]:
+            for j in range(start[i, t], stop[i, t]):
+                valid[i, j] &= np.uint8(deviation[i, j] <= _AGREEING)
+
+
 def component_test(
     valid: NDArray[np.uint8], match: MatchResult, deviation: NDArray[np.uint8], mean: NDArray[np.uint8],
     surfaces: Surfaces, large: int, scale: Scale, largest_rms: float, phase_weight: float, stride: int = 1,
@@ -175,51 +160,31 @@ def component_test(
         stride: pixels of the image from one of these pixels to the next.
     """
     f = surfaces
-    total = np.zeros((8, PARTS, len(f.sizes)), np.int64)
+    total = np.zeros((_SUMS, PARTS, len(f.sizes)), np.int64)
     runs = f.start, f.stop, f.count, f.first, f.surface, f.sizes, large
     residuals = match.residual_normalised, match.residual
     _sums(PARTS, valid, *residuals, deviation, _LOSSES, *runs, total)
     per = np.float32(2 * sqrt(1 - AMPLITUDE_SHARE) / scale.mean_sigma * DEVIATION_STEPS)
     displaced, inset = max(round(DISPLACED / stride), 1), round(INSET / stride)
-    _sums_of_small(PARTS, valid, *residuals, mean, displaced, inset, per, _LOSSES, *runs, total)
+    _sums_of_small(PARTS, valid, *residuals, deviation, mean, displaced, inset, per, _LOSSES, *runs, total)
     figures = _figures(total.sum(axis=1).astype(np.float64), 0.0 if phase_weight < _DISTINCT else _LEAST_PAIRS)
     least = np.where(figures.at_side, LEAST_AT_SIDE, LEAST_BLIND + phase_weight * (LEAST_RATIO - LEAST_BLIND))
-    ratio = log_likelihood_ratio(figures, scale, phase_weight)
-    rejected = (figures.rms > largest_rms) | ((f.sizes < large) & (ratio < least))
+    doubtful = (f.sizes < large) & (log_likelihood_ratio(figures, scale, phase_weight) < least)
+    partly = doubtful & (ratio_of_inside(figures, scale, phase_weight) >= least)
+    rejected = (figures.rms > largest_rms) | (doubtful & ~partly)
     reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
+    _reject_deviating(len(valid), partly, f.start, f.stop, f.count, f.first, f.surface, deviation, valid)
 
 
 def _figures(total: NDArray[np.float64], least_pairs: float) -> Figures:
-    """Figures from sums (8, n)."""
+    """Figures from sums (9, n)."""
     n = np.maximum(total[_PIXELS], 1)
     inside, pairs = total[_PIXELS_INSIDE], total[_PAIRS]
     rms_inside = RESIDUAL_STEP * np.sqrt(total[_SQUARES_INSIDE] / np.maximum(inside, 1))
     own = total[_OWN_LOSS] / np.maximum(pairs, 1) / _LOSS_STEPS
     return Figures(
         n, total[_LOSS] / n / _LOSS_STEPS, RESIDUAL_STEP * np.sqrt(total[_SQUARES] / n),
-        np.where(inside < np.maximum(_LEAST_INSIDE * n, 1), np.nan, rms_inside),
+        np.where(inside < np.maximum(_LEAST_INSIDE * n, 1), np.nan, rms_inside), inside,
+        total[_LOSS_INSIDE] / np.maximum(inside, 1) / _LOSS_STEPS,
         np.where(pairs < least_pairs * n, np.nan, own), 2 * total[_AT_SIDE] > n,
     )  # fmt: skip
-
-
-def log_likelihood_ratio(figures: Figures, scale: Scale, phase_weight: float) -> Any:
-    """Logarithm of the likelihood ratio of surfaces (n,), true against false, from texture and phase residual.
-
-    Losses of true and of false surfaces are taken as normal with the means of matched and of unrelated pixels, and for
-    what the surface's own texture distinguishes with its own mean.
-    """
-    pixels, loss, rms, rms_inside, own_loss, _ = figures
-    share = BLIND_SHARE + phase_weight * (FALSE_SHARE - BLIND_SHARE)
-
-    def evidence(apart: Any) -> Any:
-        middle = scale.matched_loss + share * apart
-        return pixels / _TEXTURE_PIXELS * apart * (middle - loss) / _LOSS_VARIANCE
-
-    apart = max(scale.unrelated_loss - scale.matched_loss, 0.0)
-    own = np.where(np.isnan(own_loss), apart, np.clip(own_loss - scale.matched_loss, 0.0, apart))
-    texture = np.minimum(evidence(apart), _UNIFORM_LIMIT + np.maximum(evidence(own), 0.0))
-    known = ~np.isnan(rms_inside)
-    neutral = np.where(known & (texture > 0), _NEUTRAL_INSIDE, _NEUTRAL_RESIDUAL)
-    per = np.log(neutral / np.maximum(np.where(known, rms_inside, rms), RESIDUAL_STEP))
-    phase = np.clip(np.maximum(pixels / _PHASE_PIXELS, 1.0) * per, -_PHASE_LIMIT, _PHASE_LIMIT)
-    return np.clip(texture, _TEXTURE_FLOOR, _TEXTURE_LIMIT) + phase_weight * phase

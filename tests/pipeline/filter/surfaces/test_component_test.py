@@ -10,7 +10,8 @@ import pytest
 from pipeline.common.connected_components import Surfaces
 from pipeline.filter.point_filter import phase_weight
 from pipeline.filter.surfaces import surface_links
-from pipeline.filter.surfaces.component_test import Figures, component_test, log_likelihood_ratio
+from pipeline.filter.surfaces.component_test import LEAST_RATIO, component_test
+from pipeline.filter.surfaces.surface_evidence import Figures, log_likelihood_ratio, ratio_of_inside
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, Scale
 from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
 
@@ -23,8 +24,11 @@ NONE = np.nan
 def _ratio(
     pixels: float, loss: Any, rms: Any, scale: Scale, weight: float = 1.0, *, inside: Any = NONE, own: Any = NONE
 ) -> Any:
-    figures = Figures(pixels, loss, rms, np.asarray(inside), np.asarray(own), np.asarray(False))
-    return log_likelihood_ratio(figures, scale, weight)
+    return log_likelihood_ratio(_figures(pixels, loss, rms, inside, own), scale, weight)
+
+
+def _figures(pixels: Any, loss: Any, rms: Any, rms_inside: Any, own: Any, inside: Any = 0, loss_inside: Any = 0) -> Any:
+    return Figures(pixels, loss, rms, np.asarray(rms_inside), inside, loss_inside, np.asarray(own), np.asarray(False))
 
 
 def test_the_evidence_for_a_surface_falls_with_its_loss_and_with_its_phase_residual() -> None:
@@ -54,14 +58,44 @@ def test_the_phase_counts_for_nothing_where_the_layout_is_blind() -> None:
     assert low == high
 
 
+@pytest.mark.parametrize("weight", [0.0, 0.5, 1.0])
+def test_a_texture_inside_is_evidence_as_far_as_it_agrees_and_is_the_surfaces_own(weight: float) -> None:
+    """The loss of the whole surface is that of a false one."""
+    losses = np.linspace(0, 3, 31)
+
+    def ratio(loss: Any, *, inside: Any = 400, own: Any = NONE, rms: Any = 0.05) -> Any:
+        return ratio_of_inside(_figures(900.0, 2.4, 0.1, rms, own, inside, loss), TEXTURED, weight)
+
+    of_loss = ratio(losses)
+    assert (np.diff(of_loss[np.isfinite(of_loss)]) <= 0).all()
+    assert np.isfinite(of_loss[0]) and np.isneginf(of_loss[-1])
+    assert np.isneginf(ratio(0.2, inside=np.array([10, 99]))).all() and np.isneginf(ratio(0.2, rms=NONE))
+    assert np.isneginf(ratio(0.2, own=0.3)), "a uniform texture agrees everywhere"
+    assert np.isfinite(ratio(0.2, own=2.0))
+    assert weight < 1 or ratio(0.2, rms=0.3) < LEAST_RATIO, "the projector's phase counts more"
+
+
+def test_of_a_surface_whose_border_is_foreign_the_inside_stays() -> None:
+    """The rims of the second: where windows see the texture of another surface, or pixels belong to it."""
+    inside = np.abs(np.arange(90) % 30 - 14.5) < 9
+    kept = _tested([0.8, 0.8, 0.8], [0.03, 0.06, 0.03], TEXTURED, rim=[0.8, 9.0, 0.8], columns=True)
+    assert (kept == np.where((np.arange(90) // 30 == 1) & ~inside, 0, 1)).all()
+    uniform = np.full((30, 90), 80, np.uint8)
+    kept = _tested([0.8, 0.8, 0.8], [0.03, 0.06, 0.03], TEXTURED, rim=[0.8, 9.0, 0.8], mean=uniform)
+    assert (kept == [1, 0, 1]).all()
+    kept = _tested([0.8, 9.0, 0.8], [0.03, 0.06, 0.03], TEXTURED, rim=[0.8, 0.8, 0.8])
+    assert (kept == [1, 0, 1]).all(), "only a border that agrees"
+
+
 def _tested(
-    deviation: Any, residual: Any, scale: Scale, *, mean: Any = None, weight: float = 1.0, border: float = 0.0
-) -> Any:
-    """What remains of three surfaces of 30 x 30 pixels side by side.
+    deviation: Any, residual: Any, scale: Scale, *, mean: Any = None, weight: float = 1.0, border: float = 0.0,
+    rim: Any = None, columns: bool = False,
+) -> Any:  # fmt: skip
+    """What remains of three surfaces of 30 x 30 pixels side by side, of each or of each column.
 
     Args:
         deviation, residual: of each; border: residual of the outer pixels of their rows beyond that.
-        mean: (30, 90) of the left image, default: a texture.
+        mean: (30, 90) of the left image, default: a texture; rim: deviation of the outer pixels.
     """
     shape = (30, 90)
     valid = np.ones(shape, np.uint8)
@@ -78,10 +112,11 @@ def _tested(
     )
     surfaces = Surfaces(shape)
     assert surfaces.find(valid, link, 50) == 3
-    steps = np.tile(np.rint(np.repeat(deviation, 30) * DEVIATION_STEPS).astype(np.uint8), (30, 1))
+    deviations = np.where(outer, np.repeat(deviation if rim is None else rim, 30), np.repeat(deviation, 30))
+    steps = np.tile(np.rint(deviations * DEVIATION_STEPS).astype(np.uint8), (30, 1))
     texture = np.random.default_rng(1).integers(60, 120, shape, np.uint8) if mean is None else mean
     component_test(valid, match, steps, texture, surfaces, 10**6, scale, 0.2, weight)
-    return valid.reshape(30, 3, 30).mean(axis=(0, 2))
+    return valid.mean(axis=0) if columns else valid.reshape(30, 3, 30).mean(axis=(0, 2))
 
 
 @pytest.mark.parametrize(("residual", "textured", "inner", "side"), [
