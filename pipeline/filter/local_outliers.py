@@ -116,28 +116,32 @@ def local_outliers(
 
 
 @serial
-def _usual_means(valid: Any, first: Any, second: Any, step: int, out: Any) -> int:
-    """Absolute mean of the smaller residual of every n-th neighbourhood without an unknown pixel; their number."""
+def _usual_residuals(valid: Any, first: Any, second: Any, step: int, means: Any, squares: Any) -> int:
+    """Of every n-th neighbourhood without an unknown pixel: absolute mean and mean square of the smaller residual.
+
+    Returns their number.
+    """
     size, n = 2 * RADIUS + 1, 0
     for top in range(0, valid.shape[0] - size + 1, step):
         for left in range(0, valid.shape[1] - size + 1, step):
-            known, sum1, sum2 = True, 0, 0
+            known, sum1, sum2, square = True, np.int64(0), np.int64(0), np.int64(0)
             for i in range(top, top + size):
                 for j in range(left, left + size):
                     known &= valid[i, j] != 0
-                    sum1, sum2 = sum1 + first[i, j], sum2 + second[i, j]
+                    a, b = np.int64(first[i, j]), np.int64(second[i, j])
+                    sum1, sum2, square = sum1 + a, sum2 + b, square + min(a * a, b * b)
             if known:
-                out[n] = min(abs(sum1), abs(sum2)) / size**2
+                means[n], squares[n] = min(abs(sum1), abs(sum2)) / size**2, square / size**2
                 n += 1
     return n
 
 
-def usual_mean(match: MatchResult) -> int:
-    """Median over the image of the mean of the smaller of both residuals in a neighbourhood, steps; 0 without any."""
+def usual_residuals(match: MatchResult) -> tuple[int, int]:
+    """Medians over the image of mean and mean square of the smaller residual around a pixel, steps; 0 without any."""
     step = max(1, round((match.valid.size / _SAMPLES) ** 0.5))
-    means = np.empty((match.valid.shape[0] // step + 1) * (match.valid.shape[1] // step + 1))
-    n = _usual_means(match.valid, match.residual_normalised, match.residual, step, means)
-    return int(median(means[:n])) if n else 0
+    means, squares = np.empty((2, (match.valid.shape[0] // step + 1) * (match.valid.shape[1] // step + 1)))
+    n = _usual_residuals(match.valid, match.residual_normalised, match.residual, step, means, squares)
+    return (int(median(means[:n])), int(median(squares[:n]))) if n else (0, 0)
 
 
 @serial

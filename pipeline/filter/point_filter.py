@@ -17,7 +17,7 @@ from pipeline.filter.border.border_pixels import ROWS as BORDER_ROWS
 from pipeline.filter.border.border_test import border_test, largest_odds
 from pipeline.filter.border.surface_edges import ROWS as EDGE_ROWS
 from pipeline.filter.border.surface_edges import edge_test
-from pipeline.filter.local_outliers import MOST_MEAN, ROWS, drop_mixed_edges, local_outliers, usual_mean
+from pipeline.filter.local_outliers import MOST_MEAN, ROWS, drop_mixed_edges, local_outliers, usual_residuals
 from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.occlusion.uniqueness import Uniqueness
 from pipeline.filter.surfaces import surface_links
@@ -40,6 +40,8 @@ EDGE_LOSS, LOSS_PER_NEIGHBOUR = 2.9, 0.3
 """Largest mean loss around an edge pixel with all its neighbours, and how much less for each that lacks."""
 EDGE_MISFIT_RAD = (0.9, 0.9, 0.9, 0.9, 0.8, 0.7, 0.5, 0.3, 0.1)
 """Phase error of an edge pixel by the number of its neighbours that belong to the surface, radians."""
+_DISTINCT = 0.5
+"""Weight of the projector's phase from which a pixel that agrees with it stays although its texture does not."""
 MISFIT_OF = np.rint(np.array(EDGE_MISFIT_RAD) * MISFIT_STEPS).astype(np.uint8)
 _LOSS = LOSS.astype(np.float32)
 
@@ -96,7 +98,8 @@ class Gates:
         s, valid, label, surfaces = self._settings, self._valid, self._label, self._surfaces
         bands = blocks(len(valid), ROWS)
         limit, largest = _steps(s.outlier_phase_threshold), _steps(s.reflection_threshold)
-        far = max(_steps(LARGEST_MEAN_RAD), min(TIMES_USUAL * usual_mean(match), MOST_MEAN))
+        usual, square = usual_residuals(match)
+        far = max(_steps(LARGEST_MEAN_RAD), min(TIMES_USUAL * usual, MOST_MEAN))
         local_outliers(bands, match.valid, match.residual_normalised, match.residual, limit, largest, far, valid)
         surface_links.links(
             len(valid),
@@ -113,7 +116,8 @@ class Gates:
         np.copyto(self._before, valid)
         edge_test(
             blocks(len(label), EDGE_ROWS), label, agreement.deviation, _LOSS, HIGH, np.float32(EDGE_LOSS),
-            np.float32(LOSS_PER_NEIGHBOUR), MISFIT_OF, agreement.misfit, valid,
+            np.float32(LOSS_PER_NEIGHBOUR), MISFIT_OF, match.residual_normalised, match.residual,
+            square if self._phase_weight >= _DISTINCT else 0, agreement.misfit, valid,
         )  # fmt: skip
         by_phase = Values(match.absolute_phase, False, self._base, self._span)
         for u, v, device, values, tolerance in (

@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
+from pipeline.filter.local_outliers import RADIUS
 
 _NO = np.uint8(0)
 ROWS = 8
@@ -54,12 +55,31 @@ def _edge_score(label: Any, deviation: Any, losses: Any, i: int, j: int) -> tupl
     return total / np.float32(n), beside - 1
 
 
+@serial
+def _agrees_with_projector(label: Any, first: Any, second: Any, i: int, j: int, calm: Any) -> Any:
+    """Whether a pixel inside a surface has a mean square of the smaller residual around it of at most ``calm``."""
+    height, width = label.shape
+    k, squares, n = label[i, j], np.int64(0), 0
+    for y in range(max(0, i - RADIUS), min(height, i + RADIUS + 1)):
+        for x in range(max(0, j - RADIUS), min(width, j + RADIUS + 1)):
+            if label[y, x] == k:
+                a, b = np.int64(first[y, x]), np.int64(second[y, x])
+                squares += min(a * a, b * b)
+                n += 1
+            elif abs(y - i) <= REACH and abs(x - j) <= REACH:
+                return False
+    return squares <= n * calm
+
+
 @parallel
 def edge_test(
     block: int, label: Any, deviation: Any, losses: Any, high: int, limit: Any, per_neighbour: Any, misfit_of: Any,
-    misfit: Any, valid: Any,
+    first: Any, second: Any, calm: int, misfit: Any, valid: Any,
 ) -> None:  # fmt: skip
     """Reject edge pixels, and pixels that deviate, whose surface does not agree in texture around them.
+
+    Inside a surface a highlight, which the cameras see at different places, deviates as well, but its phases agree with
+    the projector as those of the other surfaces do.
 
     Args:
         block: number of :data:`ROWS` rows.
@@ -67,6 +87,8 @@ def edge_test(
         high: deviation from which a pixel inside a surface is tested, too.
         limit: mean loss from which a pixel with all its neighbours is rejected; per_neighbour: less for each missing.
         misfit_of: (9,) uint8, least misfit by the number of neighbours that belong to the surface.
+        first, second: (H, W) int16, residuals against the projector, steps; calm: mean square of the smaller one up to
+            which the projector agrees, 0 where it does not distinguish orders.
         misfit: (H, W) uint8, raised; valid: (H, W) uint8, changed.
     """
     height, width = label.shape
@@ -85,7 +107,8 @@ def edge_test(
                 if doubt[j] == 0:
                     continue
                 loss, beside = _edge_score(label, deviation, losses, i, j)
-                if loss > limit - per_neighbour * np.float32(8 - beside):
+                foreign = loss > limit - per_neighbour * np.float32(8 - beside)
+                if foreign and not (calm > 0 and _agrees_with_projector(label, first, second, i, j, calm)):
                     checked[j] = _NO
                 else:
                     misfit[i, j] = max(misfit[i, j], misfit_of[beside])
