@@ -23,6 +23,7 @@ from pipeline.filter.occlusion.uniqueness import Uniqueness
 from pipeline.filter.surfaces import surface_links
 from pipeline.filter.surfaces.component_test import component_test
 from pipeline.filter.surfaces.small_surfaces import reject_contradicted, reject_eroded, reject_narrow
+from pipeline.filter.surfaces.surface_evidence import DISTINCT
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, MatchResult, Points
@@ -40,8 +41,6 @@ EDGE_LOSS, LOSS_PER_NEIGHBOUR = 2.9, 0.3
 """Largest mean loss around an edge pixel with all its neighbours, and how much less for each that lacks."""
 EDGE_MISFIT_RAD = (0.9, 0.9, 0.9, 0.9, 0.8, 0.7, 0.5, 0.3, 0.1)
 """Phase error of an edge pixel by the number of its neighbours that belong to the surface, radians."""
-_DISTINCT = 0.5
-"""Weight of the projector's phase from which a pixel that agrees with it stays although its texture does not."""
 MISFIT_OF = np.rint(np.array(EDGE_MISFIT_RAD) * MISFIT_STEPS).astype(np.uint8)
 _LOSS = LOSS.astype(np.float32)
 
@@ -117,7 +116,7 @@ class Gates:
         edge_test(
             blocks(len(label), EDGE_ROWS), label, agreement.deviation, _LOSS, HIGH, np.float32(EDGE_LOSS),
             np.float32(LOSS_PER_NEIGHBOUR), MISFIT_OF, match.residual_normalised, match.residual,
-            square if self._phase_weight >= _DISTINCT else 0, agreement.misfit, valid,
+            square if self._phase_weight >= DISTINCT else 0, agreement.misfit, valid,
         )  # fmt: skip
         by_phase = Values(match.absolute_phase, False, self._base, self._span)
         for u, v, device, values, tolerance in (

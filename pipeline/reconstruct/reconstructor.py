@@ -20,6 +20,7 @@ from pipeline.decode.kernels.window_fit import weights_of
 from pipeline.decode.raw_image import checked, mosaic_of
 from pipeline.filter.occlusion.kernel_warmup import warm_up_conflicts
 from pipeline.filter.point_filter import phase_weight
+from pipeline.filter.surfaces.surface_evidence import DISTINCT
 from pipeline.fringe_order.left_right_check import cross_check
 from pipeline.fringe_order.order_margins import EVEN, Limits
 from pipeline.fringe_order.order_propagation import propagate
@@ -38,8 +39,6 @@ from pipeline.rig.volume import Volume
 
 _LEAST_MARGIN = 0.3
 """Share of ``uniqueness_ratio`` that is asked of layouts where every surface's orders have small margins."""
-_DISTINCT = 0.5
-"""Weight of the projector's phase below which orders must be unique in the right image."""
 
 
 class Reconstructor:
@@ -99,7 +98,8 @@ class Reconstructor:
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
         self.searches = OrderSearch(self.left), OrderSearch(self.right)
         distinct = phase_weight(baselines(calibration), linear=self.left.linear)
-        self._repeats = distinct < _DISTINCT
+        # Fringes that repeat: orders must be unique in the right image.
+        self._repeats = distinct < DISTINCT
         self._least_margin = self.settings.uniqueness_ratio / 100 * max(_LEAST_MARGIN, distinct)
         self._kept, self._place = (np.empty(self.left.table.shape, kind) for kind in (np.int16, np.int32))
         self._order = np.empty(calibration.left.size[::-1], np.int16)

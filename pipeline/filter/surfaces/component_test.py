@@ -18,7 +18,7 @@ from pipeline.common.connected_components import Surfaces
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 from pipeline.filter.occlusion.uniqueness import PARTS
-from pipeline.filter.surfaces.surface_evidence import Figures, log_likelihood_ratio, ratio_of_inside
+from pipeline.filter.surfaces.surface_evidence import DISTINCT, Figures, log_likelihood_ratio, ratio_of_inside
 from pipeline.filter.texture_agreement import AMPLITUDE_SHARE, DEVIATION_STEPS, LOSS, Scale
 from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
 
@@ -34,11 +34,11 @@ LEAST_AT_SIDE = 3.5
 DISPLACED, INSET = 10, 6
 """Pixels of the image between which a surface's own texture is compared, and from the ends of its rows to its inside,
 where no window of the phase reaches its border."""
-_LEAST_INSIDE, _LEAST_PAIRS, _DISTINCT = 0.25, 0.4, 0.5
+_LEAST_INSIDE, _LEAST_PAIRS = 0.25, 0.4
 """Share of a surface's pixels that must be inside, or be compared with others; the latter is not asked where the
-weight of the projector's phase is below the third."""
+projector's phase does not distinguish orders."""
 _AGREEING = 3 * DEVIATION_STEPS // 2
-"""Deviation up to which pixels of such a surface are kept: what surrounds its inside may belong to another one."""
+"""Deviation up to which pixels of a surface stay for which only its inside is evidence; around it may be another."""
 _SUMS = 9
 _SQUARES, _LOSS, _PIXELS, _SQUARES_INSIDE, _LOSS_INSIDE, _PIXELS_INSIDE, _OWN_LOSS, _PAIRS, _AT_SIDE = range(_SUMS)
 
@@ -167,7 +167,7 @@ def component_test(
     per = np.float32(2 * sqrt(1 - AMPLITUDE_SHARE) / scale.mean_sigma * DEVIATION_STEPS)
     displaced, inset = max(round(DISPLACED / stride), 1), round(INSET / stride)
     _sums_of_small(PARTS, valid, *residuals, deviation, mean, displaced, inset, per, _LOSSES, *runs, total)
-    figures = _figures(total.sum(axis=1).astype(np.float64), 0.0 if phase_weight < _DISTINCT else _LEAST_PAIRS)
+    figures = _figures(total.sum(axis=1).astype(np.float64), 0.0 if phase_weight < DISTINCT else _LEAST_PAIRS)
     least = np.where(figures.at_side, LEAST_AT_SIDE, LEAST_BLIND + phase_weight * (LEAST_RATIO - LEAST_BLIND))
     doubtful = (f.sizes < large) & (log_likelihood_ratio(figures, scale, phase_weight) < least)
     partly = doubtful & (ratio_of_inside(figures, scale, phase_weight) >= least)

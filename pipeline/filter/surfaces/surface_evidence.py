@@ -9,6 +9,8 @@ import numpy as np
 from pipeline.filter.texture_agreement import Scale
 from pipeline.match.match_result import RESIDUAL_STEP
 
+DISTINCT = 0.5
+"""Weight of the projector's phase from which it is taken to distinguish fringe orders."""
 _TEXTURE_PIXELS, _PHASE_PIXELS = 25.0, 120.0
 """Pixels that share one independent deviation of the texture, of the projector's phase."""
 _TEXTURE_FLOOR = -2.0
