@@ -37,8 +37,8 @@ class Figures(NamedTuple):
         rms: phase against the projector, radians; rms_inside: the same away from the surface's border, NaN where it
             has no inside.
         inside, loss_inside: pixels there, and the mean loss of their deviations.
-        own_loss: mean loss of the deviations in the left image between some pixels apart; NaN for
-            surfaces too narrow for it.
+        own_loss: mean loss of the deviations in the left image between pixels a fixed distance apart; NaN for surfaces
+            too narrow for it.
         at_side: bool, most of its rows are narrower than that and end at the image's left or right side.
     """
 

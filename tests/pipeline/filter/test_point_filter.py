@@ -11,7 +11,7 @@ import pytest
 from pipeline.common.connected_components import LEFT, UP, Surfaces
 from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
-from pipeline.filter.local_outliers import RADIUS, ROWS, drop_mixed_edges, local_outliers
+from pipeline.filter.local_outliers import RADIUS, ROWS, drop_mixed_edges, local_outliers, usual_residuals
 from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.occlusion.uniqueness import Uniqueness
 from pipeline.filter.point_filter import Gates
@@ -49,6 +49,23 @@ def test_local_outliers_are_those_of_the_definition(shape: tuple[int, int]) -> N
     out = np.full(shape, 9, np.uint8)
     local_outliers(blocks(len(valid), ROWS), valid, *residuals, limit, largest, mean, out)
     np.testing.assert_array_equal(out, expected)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_usual_residuals_are_medians_over_the_neighbourhoods_without_an_unknown_pixel(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(4)
+    match = MatchResult.empty(shape)
+    match.valid[:] = 1 if min(shape) < 9 else _blobs(rng, shape, 0.95)
+    match.residual[:], match.residual_normalised[:] = rng.normal(30, 60, (2, *shape)).astype(np.int16)
+    windows = np.lib.stride_tricks.sliding_window_view
+    size = (min(2 * RADIUS + 1, shape[0]), min(2 * RADIUS + 1, shape[1]))
+    every = max(1, round((match.valid.size / 800) ** 0.5))  # about 800 of them
+    known = (windows(match.valid, size).all(axis=(2, 3)) & (min(size) == 2 * RADIUS + 1))[::every, ::every]
+    a, b = (windows(r.astype(float), size)[::every, ::every] for r in (match.residual, match.residual_normalised))
+    means = np.minimum(abs(a.mean(axis=(2, 3))), abs(b.mean(axis=(2, 3))))[known]
+    squares = np.minimum(a**2, b**2).mean(axis=(2, 3))[known]
+    expected = (int(np.median(means)), int(np.median(squares))) if known.any() else (0, 0)
+    assert usual_residuals(match) == pytest.approx(expected, abs=1)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
