@@ -47,7 +47,7 @@ _LOSS = LOSS.astype(np.float32)
 
 RejectAmbiguous = Callable[[NDArray[np.uint16], NDArray[np.int32], NDArray[np.uint8]], None]
 """Rejects surfaces whose fringe orders do not win clearly: of label (H, W) and sizes (n,), in ``valid`` (H, W); see
-:mod:`pipeline.fringe_order.order_margins`."""
+:mod:`pipeline.fringe_order.margins.order_margins`."""
 
 
 class Gates:

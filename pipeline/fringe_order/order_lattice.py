@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from pipeline.common.parallel_for import blocks
 from pipeline.common.tile_math import TILE
 from pipeline.decode.decoder import PhaseMap
-from pipeline.fringe_order import order_candidates, order_margins, phase_links, semi_global_aggregation, strip_search
+from pipeline.fringe_order import order_candidates, phase_links, semi_global_aggregation, strip_search
 from pipeline.fringe_order.label_vectors import padded
+from pipeline.fringe_order.margins import order_margins
+from pipeline.fringe_order.margins.sampled_groups import Groups
 from pipeline.fringe_order.visibility import uniqueness
 from pipeline.fringe_order.visibility.order_jumps import Jumps, Segments
 from pipeline.fringe_order.visibility.uniqueness import Claims
@@ -81,7 +83,7 @@ class OrderLattice:
 
     def margins(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, limits: order_margins.Limits,
-        order: NDArray[np.int16], stride: int, groups: order_margins.Groups,
+        order: NDArray[np.int16], stride: int, groups: Groups,
     ) -> NDArray[np.float32]:  # fmt: skip
         """(groups,) least margins of the orders; only lattice pixels in rows and columns of the stride count."""
         view, table, s = self._view, self.table, self._view.settings
@@ -107,7 +109,7 @@ class OrderLattice:
             least = np.empty(len(groups), np.float32)
             order_margins.least_margins(
                 group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST,
-                limits.largest_own, limits.even, least,
+                limits.largest_own, limits.even, order_margins.UNEXPLAINED, least,
             )  # fmt: skip
             return least
 

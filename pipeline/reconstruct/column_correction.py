@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.fringe_order.order_margins import CLEAR_GAIN
+from pipeline.fringe_order.margins.order_margins import CLEAR_GAIN
 from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, MatchResult
 

@@ -18,7 +18,7 @@ from pipeline.decode.decoder import PhaseMap
 from pipeline.filter.occlusion.kernel_warmup import warm_up_conflicts
 from pipeline.filter.texture_agreement import Scale
 from pipeline.fringe_order.left_right_check import cross_check
-from pipeline.fringe_order.order_margins import Limits
+from pipeline.fringe_order.margins.order_margins import Limits
 from pipeline.fringe_order.order_propagation import propagate
 from pipeline.match.match_result import Points
 from pipeline.pattern.color_fringe import ColorFringe

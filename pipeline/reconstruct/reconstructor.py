@@ -22,7 +22,7 @@ from pipeline.filter.occlusion.kernel_warmup import warm_up_conflicts
 from pipeline.filter.point_filter import phase_weight
 from pipeline.filter.surfaces.surface_evidence import DISTINCT
 from pipeline.fringe_order.left_right_check import cross_check
-from pipeline.fringe_order.order_margins import EVEN, Limits
+from pipeline.fringe_order.margins.order_margins import EVEN, Limits
 from pipeline.fringe_order.order_propagation import propagate
 from pipeline.fringe_order.order_search import UNCALIBRATED, OrderSearch
 from pipeline.geometry.ray_tables import DepthScale

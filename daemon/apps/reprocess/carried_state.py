@@ -26,7 +26,7 @@ class CarriedState:
         encoding: of the images seen last; another one begins with a new reconstructor.
         corrections: what the first item sets in each inner reconstructor, and whether it was measured.
         scan: fields of the first pair's column scan, None without one.
-        shifts, gain: of the correction, see :class:`pipeline.fringe_order.order_margins.Limits`.
+        shifts, gain: of the correction, see :class:`pipeline.fringe_order.margins.order_margins.Limits`.
     """
 
     encoding: str = ""

@@ -3,8 +3,7 @@
 A surface whose orders are all wrong by the same number is as smooth as the true one. Where its texture is uniform and
 the projector's phase repeats (see :func:`pipeline.filter.point_filter.phase_weight`), it costs no more either, and the
 search takes one of them by chance. Such orders are found by their margin: the mean cost of a surface's lattice pixels
-with all orders changed alike, less that with their own. Large surfaces are tested in cells, because a false surface
-that crosses a true one is connected with it.
+with all orders changed alike, less that with their own. See :mod:`.sampled_groups` for the pixels that are compared.
 """
 
 from __future__ import annotations
@@ -22,16 +21,15 @@ from pipeline.fringe_order.order_candidates import (  # isort: skip
     COST, COST_IMPOSSIBLE, INTEGER_SLOTS, SLOTS, candidate_costs, load_nodes,
 )  # fmt: skip
 
-SAMPLES = 32
-"""Lattice pixels of each group that are compared, about; all where it has fewer."""
-CELL = 64
-"""Width and height of the cells in which large surfaces are tested, pixels of the left image."""
 LEAST_SHARE = 0.5
 """Share of a group's pixels that must have an order for it to compete."""
 LARGEST_COST = 0.3
 """Mean cost up to which another order explains a group; saturated surfaces cost as much with their own as with any.
 Where no other projector offset is possible, pixels that cost more with their own order, mostly those at a border, are
 no evidence."""
+UNEXPLAINED = 0.16
+"""Least margin, where the fringes repeat, of groups that cost more than :data:`LARGEST_COST` with their own order, in
+units of that cost: with phases as wrong as theirs other orders compete whatever they cost."""
 TEXTURE = 0.9
 """Share of the texture's weight in the margins: with all of it surfaces whose texture is that of the wrong place keep
 their orders."""
@@ -44,7 +42,6 @@ CLEAR_GAIN, CLEAR_SHARE = 0.03, 0.5
 likelihood from which they do, see :class:`pipeline.reconstruct.column_correction.OffsetLikelihood`."""
 VAGUE_GAIN, VAGUE_SHARE = 0.01, 0.25
 """The same where hardly any does, and another offset explains the pair as well: all of a wall may have wrong orders."""
-_GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
 
 
 class Limits(NamedTuple):
@@ -73,107 +70,6 @@ class Limits(NamedTuple):
         if self.gain >= CLEAR_GAIN and self.even < 0:
             return CLEAR_SHARE
         return VAGUE_SHARE if len(self.shifts) and self.gain < VAGUE_GAIN else AMBIGUOUS_SHARE
-
-
-class Groups:
-    """The surfaces of an image, large ones divided into cells: first a group for each, then one for each cell.
-
-    Args:
-        label: (H, W) uint16, one more than the surface of each pixel, 0 = none; sizes: (surfaces,) their pixels.
-        cell: width and height of the cells, pixels.
-    """
-
-    def __init__(self, label: NDArray[np.uint16], sizes: NDArray[np.int32], cell: int) -> None:
-        self._label, self._surfaces, self._cell = label, len(sizes), cell
-        large = sizes > cell * cell
-        self._row = np.where(large, np.cumsum(large) - 1, -1).astype(np.int32)
-        self._across = -(-label.shape[1] // cell)
-        self._cells = self._across * -(-label.shape[0] // cell)
-        self._pixels = np.zeros(self._surfaces + int(large.sum()) * self._cells, np.int32)
-
-    def __len__(self) -> int:
-        return len(self._pixels)
-
-    def sampled(self, rows: NDArray[np.int32], columns: NDArray[np.int32]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Numbers of lattice pixels, up to about :data:`SAMPLES` of each group, and their groups.
-
-        Args:
-            rows, columns: (h,), (w,) of the lattice pixels in ``label``; -1 where they are not in it.
-        """
-        groups = np.empty((len(rows), len(columns)), np.int32)
-        group, nodes = groups.reshape(-1), np.empty(groups.size, np.int32)
-        _group_pixels(
-            len(rows), self._label, self._row, rows, columns, columns // self._cell, self._cell, self._across,
-            self._cells, groups,
-        )  # fmt: skip
-        n = _choose(group, SAMPLES, self._pixels, np.empty(len(self), np.int32), nodes)
-        return nodes[:n], group[nodes[:n]]
-
-    def reject(self, ambiguous: NDArray[np.bool_], most: float, valid: NDArray[np.uint8]) -> None:
-        """Reject the surfaces that are ambiguous (n,), after :meth:`sampled`; ``valid`` (H, W) is changed.
-
-        Args:
-            most: as :attr:`Limits.ambiguous_share`.
-        """
-        cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (ambiguous, self._pixels))
-        share = (cells * pixels).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
-        rejected = ambiguous[: self._surfaces].copy()
-        rejected[self._row >= 0] = share >= most
-        # The loop is called without rows as well, or it would be compiled in the middle of a live run.
-        _reject(len(valid) if rejected.any() else 0, self._label, rejected, valid)
-
-
-@parallel
-def _group_pixels(
-    a: int, label: Any, row: Any, rows: Any, columns: Any, column_cells: Any, cell: int, across: int, cells: int,
-    out: Any,
-) -> None:  # fmt: skip
-    """Group of each pixel of a lattice row, ``out`` (h, w) int32, -1 without one.
-
-    Args:
-        row: (surfaces,) numbers of the large ones, -1 = not large; rows, columns: as of :meth:`Groups.sampled`.
-        column_cells: (w,) cells of the columns; across, cells: in a row of cells, in the image.
-    """
-    i = rows[a]
-    if i < 0:
-        out[a, :] = -1
-        return
-    first = row.shape[0] + (i // cell) * across
-    for b in range(columns.shape[0]):
-        j = columns[b]
-        k = np.int64(label[i, j]) - 1 if j >= 0 else -1
-        large = k >= 0 and row[k] >= 0
-        out[a, b] = first + row[k] * cells + column_cells[b] if large else k
-
-
-@serial
-def _choose(group: Any, most: int, count: Any, left: Any, out: Any) -> int:
-    """About ``most`` pixels of each group into ``out``; their number. ``count`` (groups,) zeros; ``left``: scratch.
-
-    Their distances are pseudo-random: every n-th pixel of a surface whose rows have n would be one column of it.
-    """
-    for b in range(group.shape[0]):
-        if group[b] >= 0:
-            count[group[b]] += 1
-    left[:] = 1
-    n = 0
-    for b in range(group.shape[0]):
-        k = group[b]
-        if k >= 0:
-            left[k] -= 1
-            if left[k] == 0:
-                out[n] = b
-                n += 1
-                distances = np.uint32(2 * ((count[k] + most - 1) // most) - 1)
-                left[k] = 1 + np.int32((np.uint32(b) * _GOLDEN >> np.uint32(16)) % distances)
-    return n
-
-
-@parallel
-def _reject(i: int, label: Any, rejected: Any, valid: Any) -> None:
-    for j in range(label.shape[1]):
-        if label[i, j] != 0 and rejected[np.int64(label[i, j]) - 1]:
-            valid[i, j] = np.uint8(0)
 
 
 @parallel
@@ -207,7 +103,7 @@ def costs_of_nodes(
 @serial
 def least_margins(
     group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, largest_cost: Any, largest_own: Any,
-    even: Any, out: Any,
+    even: Any, unexplained: Any, out: Any,
 ) -> None:  # fmt: skip
     """Least margin of each group plus its standard error, (groups,) float32; infinite where no other order competes.
 
@@ -216,15 +112,18 @@ def least_margins(
         costs: (n, labels).
         least_share: of a group's pixels that must have an order for it to compete.
         largest_cost: its largest mean cost; largest_own: as :attr:`Limits.largest_own`.
-        even: as of :class:`Limits`.
+        even: as of :class:`Limits`; unexplained: as :data:`UNEXPLAINED`, where ``even`` is not negative.
     """
     labels = costs.shape[1]
     total, squares = np.zeros((out.shape[0], 2 * labels)), np.zeros((out.shape[0], 2 * labels))
     level = np.zeros((out.shape[0], 2 * labels))
     pixels, alike = np.zeros((out.shape[0], 2 * labels), np.int32), np.zeros((out.shape[0], 2 * labels), np.int32)
+    own_cost = np.zeros(out.shape[0])
+    if even >= 0:
+        own_cost = _mean_own(group, own, first, count, costs, out.shape[0])
     for m in range(group.shape[0]):
         k, here = group[m], own[m] - first[m]
-        if here < 0 or here >= count[m] or costs[m, here] > largest_own:
+        if here < 0 or here >= count[m] or (costs[m, here] > largest_own and own_cost[k] <= largest_cost):
             continue
         for order in range(count[m]):
             change = order - here + labels
@@ -242,7 +141,21 @@ def least_margins(
                 continue
             if 2 * alike[k, change] > n:
                 out[k] = min(out[k], np.float32(0.0))
+            mean = total[k, change] / n
+            error = np.sqrt(max(squares[k, change] / n - mean * mean, 0.0) / (n - 1))
+            if own_cost[k] > largest_cost and mean + error < unexplained * own_cost[k]:
+                out[k] = min(out[k], np.float32(0.0))
             if level[k, change] <= largest_cost * n:
-                mean = total[k, change] / n
-                error = np.sqrt(max(squares[k, change] / n - mean * mean, 0.0) / (n - 1))
                 out[k] = min(out[k], np.float32(mean + error))
+
+
+@serial
+def _mean_own(group: Any, own: Any, first: Any, count: Any, costs: Any, groups: int) -> Any:
+    """Mean cost of each group's pixels with their own orders, (groups,); arguments as of :func:`least_margins`."""
+    total, pixels = np.zeros(groups), np.zeros(groups, np.int32)
+    for m in range(group.shape[0]):
+        here = own[m] - first[m]
+        if 0 <= here < count[m]:
+            total[group[m]] += costs[m, here]
+            pixels[group[m]] += 1
+    return total / np.maximum(pixels, 1)

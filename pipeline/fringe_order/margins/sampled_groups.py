@@ -1,0 +1,121 @@
+"""Surfaces and cells of large ones, with a sample of their lattice pixels.
+
+Large surfaces are tested in cells, because a false surface that crosses a true one is connected with it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
+
+SAMPLES = 32
+"""Lattice pixels of each group that are compared, about; all where it has fewer."""
+CELL = 64
+"""Width and height of the cells in which large surfaces are tested, pixels of the left image."""
+_GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
+
+
+class Groups:
+    """The surfaces of an image, large ones divided into cells: first a group for each, then one for each cell.
+
+    Args:
+        label: (H, W) uint16, one more than the surface of each pixel, 0 = none; sizes: (surfaces,) their pixels.
+        cell: width and height of the cells, pixels.
+    """
+
+    def __init__(self, label: NDArray[np.uint16], sizes: NDArray[np.int32], cell: int) -> None:
+        self._label, self._surfaces, self._cell = label, len(sizes), cell
+        large = sizes > cell * cell
+        self._row = np.where(large, np.cumsum(large) - 1, -1).astype(np.int32)
+        self._across = -(-label.shape[1] // cell)
+        self._cells = self._across * -(-label.shape[0] // cell)
+        self._pixels = np.zeros(self._surfaces + int(large.sum()) * self._cells, np.int32)
+
+    def __len__(self) -> int:
+        return len(self._pixels)
+
+    def sampled(self, rows: NDArray[np.int32], columns: NDArray[np.int32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Numbers of lattice pixels, up to about :data:`SAMPLES` of each group, and their groups.
+
+        Args:
+            rows, columns: (h,), (w,) of the lattice pixels in ``label``; -1 where they are not in it.
+        """
+        groups = np.empty((len(rows), len(columns)), np.int32)
+        group, nodes = groups.reshape(-1), np.empty(groups.size, np.int32)
+        _group_pixels(
+            len(rows), self._label, self._row, rows, columns, columns // self._cell, self._cell, self._across,
+            self._cells, groups,
+        )  # fmt: skip
+        n = _choose(group, SAMPLES, self._pixels, np.empty(len(self), np.int32), nodes)
+        return nodes[:n], group[nodes[:n]]
+
+    def reject(self, ambiguous: NDArray[np.bool_], most: float, valid: NDArray[np.uint8]) -> None:
+        """Reject the surfaces that are ambiguous (n,), after :meth:`sampled`; ``valid`` (H, W) is changed.
+
+        Args:
+            most: as :attr:`.order_margins.Limits.ambiguous_share`.
+        """
+        cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (ambiguous, self._pixels))
+        share = (cells * pixels).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
+        rejected = ambiguous[: self._surfaces].copy()
+        rejected[self._row >= 0] = share >= most
+        # The loop is called without rows as well, or it would be compiled in the middle of a live run.
+        _reject(len(valid) if rejected.any() else 0, self._label, rejected, valid)
+
+
+@parallel
+def _group_pixels(
+    a: int, label: Any, row: Any, rows: Any, columns: Any, column_cells: Any, cell: int, across: int, cells: int,
+    out: Any,
+) -> None:  # fmt: skip
+    """Group of each pixel of a lattice row, ``out`` (h, w) int32, -1 without one.
+
+    Args:
+        row: (surfaces,) numbers of the large ones, -1 = not large; rows, columns: as of :meth:`Groups.sampled`.
+        column_cells: (w,) cells of the columns; across, cells: in a row of cells, in the image.
+    """
+    i = rows[a]
+    if i < 0:
+        out[a, :] = -1
+        return
+    first = row.shape[0] + (i // cell) * across
+    for b in range(columns.shape[0]):
+        j = columns[b]
+        k = np.int64(label[i, j]) - 1 if j >= 0 else -1
+        large = k >= 0 and row[k] >= 0
+        out[a, b] = first + row[k] * cells + column_cells[b] if large else k
+
+
+@serial
+def _choose(group: Any, most: int, count: Any, left: Any, out: Any) -> int:
+    """About ``most`` pixels of each group into ``out``; their number. ``count`` (groups,) zeros; ``left``: scratch.
+
+    Their distances are pseudo-random: every n-th pixel of a surface whose rows have n would be one column of it.
+    """
+    for b in range(group.shape[0]):
+        if group[b] >= 0:
+            count[group[b]] += 1
+    left[:] = 1
+    n = 0
+    for b in range(group.shape[0]):
+        k = group[b]
+        if k >= 0:
+            left[k] -= 1
+            if left[k] == 0:
+                out[n] = b
+                n += 1
+                distances = np.uint32(2 * ((count[k] + most - 1) // most) - 1)
+                left[k] = 1 + np.int32((np.uint32(b) * _GOLDEN >> np.uint32(16)) % distances)
+    return n
+
+
+@parallel
+def _reject(i: int, label: Any, rejected: Any, valid: Any) -> None:
+    for j in range(label.shape[1]):
+        if label[i, j] != 0 and rejected[np.int64(label[i, j]) - 1]:
+            valid[i, j] = np.uint8(0)
