@@ -29,7 +29,7 @@ Where no other projector offset is possible, pixels that cost more with their ow
 no evidence."""
 UNEXPLAINED = 0.16
 """Least margin, where the fringes repeat, of groups that cost more than :data:`LARGEST_COST` with their own order, in
-units of that cost: with phases as wrong as theirs other orders compete whatever they cost."""
+units of that cost: with phases as wrong as theirs all pixels count, and other orders compete whatever they cost."""
 TEXTURE = 0.9
 """Share of the texture's weight in the margins: with all of it surfaces whose texture is that of the wrong place keep
 their orders."""
