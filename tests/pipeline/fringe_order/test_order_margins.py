@@ -278,7 +278,7 @@ def test_a_wall_whose_offset_is_vague_has_no_points() -> None:
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(("number", "wrong", "covered"), [(11, 0.01, 0.2), (157, 0.001, 0.7)])
 def test_a_surface_that_no_order_explains_must_win_more_clearly(number: int, wrong: float, covered: float) -> None:
-    """Fringes repeat on both rigs: of the first 62 % were wrong, and the second, right surfaces, must keep its points."""
+    """Fringes repeat on both rigs: of the first 62 % were wrong; the second is right and must keep its points."""
     found = errors_of(random_rig(number), 0)
     assert found.wrong < wrong
     assert found.covered > covered
