@@ -15,8 +15,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fringed.client import ReceivedCloud, asubscribe, subscribe
-    from fringed.cloud_store import StoredCloud, StoredClouds, open_clouds
     from fringed.errors import (
         ArgumentError,
         ControlError,
@@ -29,11 +27,14 @@ if TYPE_CHECKING:
         SilenceError,
         WireError,
     )
+    from fringed.files.cloud_store import StoredCloud, StoredClouds, open_clouds
     from fringed.keys import Keys
     from fringed.rig.live import Rig
     from fringed.rig.opening import open_source as open  # noqa: A004 - fringed.open, as gzip.open
     from fringed.rig.preview import Preview
     from fringed.rig.source import Source
+    from fringed.stream.received_cloud import ReceivedCloud
+    from fringed.stream.subscription import asubscribe, subscribe
 
 __all__ = [
     "ArgumentError",
@@ -61,10 +62,11 @@ __all__ = [
 
 _MODULES = {
     **dict.fromkeys((name for name in __all__ if name.endswith("Error")), "fringed.errors"),
-    **dict.fromkeys(("ReceivedCloud", "asubscribe", "subscribe"), "fringed.client"),
-    **dict.fromkeys(("StoredCloud", "StoredClouds", "open_clouds"), "fringed.cloud_store"),
+    **dict.fromkeys(("asubscribe", "subscribe"), "fringed.stream.subscription"),
+    **dict.fromkeys(("StoredCloud", "StoredClouds", "open_clouds"), "fringed.files.cloud_store"),
     "Keys": "fringed.keys",
     "Preview": "fringed.rig.preview",
+    "ReceivedCloud": "fringed.stream.received_cloud",
     "Rig": "fringed.rig.live",
     "Source": "fringed.rig.source",
     "open": "fringed.rig.opening",

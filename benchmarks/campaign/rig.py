@@ -19,7 +19,7 @@ from benchmarks.common.daemon_process import DaemonProcess
 from drivers.protocols import SIDES
 from fringed import wire
 from fringed.errors import ControlError
-from fringed.receiver import Receiver
+from fringed.stream.receiver import Receiver
 from sim.box.box import GENTL_DIR, Box
 from sim.box.exposure_ledger import Ledger
 from sim.box.options import from_mapping

@@ -22,7 +22,7 @@ from benchmarks.common.daemon_process import DaemonProcess
 from benchmarks.load.clients import LoadClients
 from daemon.common.files import write_atomically
 from fringed import wire
-from fringed.receiver import Receiver
+from fringed.stream.receiver import Receiver
 
 ALL = {"full": 4, "light": 4, "poller": 20, "stopped": 1, "silent": 1}
 _TOLERANCE = 0.1

@@ -21,8 +21,8 @@ import zmq
 from fringed import wire
 from fringed.errors import OverwrittenError
 from fringed.parts import shared_topic
-from fringed.receiver import Receiver
 from fringed.shared_memory import SharedMemory
+from fringed.stream.receiver import Receiver
 
 _POLL_S, _SLOW_S = 1.0, 0.5
 

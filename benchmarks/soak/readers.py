@@ -7,8 +7,8 @@ import time
 import zmq
 
 from fringed import wire
-from fringed.losses import Losses
-from fringed.receiver import Receiver
+from fringed.stream.losses import Losses
+from fringed.stream.receiver import Receiver
 
 _QUEUE = 8
 

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from fringed.client import ReceivedCloud
-from fringed.cloud_store import ARRAYS, OPTIONAL, StoredClouds, open_clouds
 from fringed.errors import NotLiveError, RecordingError
+from fringed.files.cloud_store import ARRAYS, OPTIONAL, StoredClouds, open_clouds
 from fringed.parts import PARTS
 from fringed.rig.preview import Preview
 from fringed.rig.recorded import FILE_NAMES
+from fringed.stream.received_cloud import ReceivedCloud
 from fringed.wire import CloudHeader
 
 SUFFIX = ".npz"

@@ -8,7 +8,6 @@ from typing import Any
 
 import zmq
 
-from fringed.client import AsyncSubscription, Subscription
 from fringed.control.address import checked_endpoint, found_control_endpoint, host_of, port_of
 from fringed.control.arguments import checked_timeout
 from fringed.control.client import ControlClient
@@ -18,6 +17,7 @@ from fringed.keys import Keys, loaded_keys
 from fringed.parts import topic_of
 from fringed.rig.preview import PreviewStream
 from fringed.rig.source import TIMEOUT_S, Source
+from fringed.stream.subscription import AsyncSubscription, Subscription
 
 CONTROL_PORT = 5558
 """Of the examples in docs/how-to/security.md, for an address without a port."""

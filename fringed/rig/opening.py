@@ -7,8 +7,8 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
-from fringed.cloud_store import NAME as STORE
 from fringed.errors import ArgumentError, RecordingError
+from fringed.files.cloud_store import NAME as STORE
 from fringed.rig.folder import SUFFIX, NpzClouds, ZarrClouds
 from fringed.rig.live import Rig
 from fringed.rig.recorded import Reader, Recording

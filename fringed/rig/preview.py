@@ -10,7 +10,7 @@ from fringed import wire
 from fringed.control.arguments import checked_timeout_or_none
 from fringed.errors import SilenceError, WireError
 from fringed.keys import Keys
-from fringed.receiver import Receiver
+from fringed.stream.receiver import Receiver
 
 TOPIC = "preview"
 PARTS = ("left", "right", "overlay")

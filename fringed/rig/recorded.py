@@ -11,13 +11,14 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 import msgspec
 import numpy as np
 
-from fringed.client import TOPICS, ReceivedCloud
 from fringed.control.arguments import checked_timeout_or_none
 from fringed.errors import ArgumentError, FringedError, NotLiveError
 from fringed.parts import BASIC, PARTS, parse_parts
 from fringed.protocol.status import CalibrationCheck, DriftSummary, HealthSummary, Mode, Recorder, Status
 from fringed.rig.preview import Preview
 from fringed.rig.source import TIMEOUT_S, Source
+from fringed.stream.cloud_stream import TOPICS
+from fringed.stream.received_cloud import ReceivedCloud
 
 T = TypeVar("T")
 FILE_NAMES = {"sigma": "sigma_mm"}

@@ -8,13 +8,13 @@ from typing import Any, Protocol, Self, TypeVar
 
 import msgspec
 
-from fringed.client import ReceivedCloud
 from fringed.errors import ControlError
 from fringed.protocol.answers import Changed, Hello, Setting, Settings, Shown, Snapshot, State, Takes
 from fringed.protocol.health import Event, Health, History
 from fringed.protocol.status import Mode, Status
 from fringed.rig.preview import Preview
 from fringed.rig.running_take import RunningTake
+from fringed.stream.received_cloud import ReceivedCloud
 
 T = TypeVar("T")
 TIMEOUT_S = 10.0

@@ -118,7 +118,7 @@ def test_a_foreign_package_stays_whole_beside_the_client(foreign: Path, wheels: 
     assert digests(foreign / "daemon") == before
     code = "import daemon, fringed; print(daemon.__doc__, fringed.subscribe.__module__)"
     done = subprocess.run([python, "-P", "-c", code], capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout == "Another program. fringed.client\n"
+    assert done.stdout == "Another program. fringed.stream.subscription\n"
 
 
 def test_the_commands_name_a_foreign_package(foreign: Path, wheels: dict[str, Path]) -> None:

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from daemon.apps.export.mesh import faces_of, glb_bytes
 from daemon.common.errors import InputError
+from fringed.files.pcd import pcd_bytes
+from fringed.files.ply import ply_bytes
 from fringed.parts import PARTS
-from fringed.pcd import pcd_bytes
-from fringed.ply import ply_bytes
 
 if TYPE_CHECKING:
     from pipeline.reconstruct.cloud import Cloud

@@ -19,10 +19,10 @@ from daemon.live.publishing.messages import Origin
 from daemon.recording.read.take_reader import TakeReader
 from drivers.protocols import Frame
 from fringed import wire
-from fringed.client import ReceivedCloud, full_cloud
 from fringed.errors import RecordingError
 from fringed.parts import BASIC, topic_of
 from fringed.rig.preview import Preview, preview_of
+from fringed.stream.received_cloud import ReceivedCloud, full_cloud
 from pipeline.common.errors import PipelineError
 
 

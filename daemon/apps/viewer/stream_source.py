@@ -11,9 +11,9 @@ import zmq
 from fringed import wire
 from fringed.errors import WireError
 from fringed.keys import Keys
-from fringed.losses import Losses
 from fringed.parts import BASIC, topic_of
-from fringed.receiver import Receiver
+from fringed.stream.losses import Losses
+from fringed.stream.receiver import Receiver
 
 TOPICS = ("cloud/full", "preview", "status")
 COLOR_TOPIC = topic_of((*BASIC, "rgb"))

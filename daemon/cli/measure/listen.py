@@ -16,9 +16,10 @@ import typer
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
 from daemon.cli.options.parts_option import PartsOption, chosen_parts
 from daemon.common.errors import InputError
-from fringed.client import DEFAULT_ENDPOINT, ReceivedCloud, Subscription, subscribe
 from fringed.errors import SilenceError
 from fringed.parts import BASIC, PARTS, topic_of
+from fringed.stream.received_cloud import ReceivedCloud
+from fringed.stream.subscription import DEFAULT_ENDPOINT, Subscription, subscribe
 
 _WAIT_S = 0.25
 

@@ -14,8 +14,8 @@ import typer
 from daemon.apps.viewer.colors import COLORS
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
 from daemon.common.errors import InputError
-from fringed.client import DEFAULT_ENDPOINT
 from fringed.keys import Keys
+from fringed.stream.subscription import DEFAULT_ENDPOINT
 
 
 def main(

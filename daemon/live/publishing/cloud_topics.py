@@ -84,3 +84,13 @@ class CloudTopics:
             return None
         self.problem = ""
         return references
+
+
+def load_codecs() -> None:
+    """Import what depth and preview need before the first of them is made: it takes half a second."""
+    import blosc2
+
+    import daemon.live.publishing.preview  # noqa: F401
+
+    # One chunk is compressed in a millisecond; more threads would only slow down the pipeline.
+    blosc2.set_nthreads(1)

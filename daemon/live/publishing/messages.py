@@ -175,3 +175,8 @@ def _cloud_header(origin: Origin, item: CloudItem, cloud: Cloud) -> wire.CloudHe
         kind="cloud", seq=item.seq, t_ns=item.t_ns, frame=cloud.frame, width=width, height=height, stats=stats,
         **origin.keys(),
     )  # fmt: skip
+
+
+def differ(a: Frames, b: Frames) -> bool:
+    """Whether two messages carry different data, headers aside."""
+    return [bytes(part) for part in a[2:]] != [bytes(part) for part in b[2:]]

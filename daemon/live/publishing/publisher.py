@@ -18,16 +18,16 @@ from typing import Any
 import zmq
 
 from daemon.common.clock import SystemClock
-from daemon.common.counters import Counters, Percentiles
+from daemon.common.counters import Percentiles
 from daemon.common.heartbeat import Heartbeat
 from daemon.config.rig_config import RigConfig
 from daemon.live.items import CloudItem, Item
 from daemon.live.publishing import messages
-from daemon.live.publishing.cloud_topics import CloudTopics
-from daemon.live.publishing.endpoints import bind_all, remove_files
+from daemon.live.publishing.cloud_topics import CloudTopics, load_codecs
 from daemon.live.publishing.log_handler import StreamHandler
 from daemon.live.publishing.messages import Frames, Origin
 from daemon.live.publishing.shared_clouds import SharedClouds
+from daemon.live.publishing.stream_socket import StreamSocket
 from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
 from fringed.parts import BASIC
@@ -36,14 +36,9 @@ from pipeline.rig.calibration import Calibration
 log = logging.getLogger("fringed.stream")
 
 MAX_PREVIEW_HZ = 10.0
-_META = 4  # messages of a burst
-_SEND_QUEUE = 4 + _META  # messages, up to 14 MB each, that wait for each subscriber
 _LOG_QUEUE = 64
-_MAX_PREFIXES = 256
-_MAX_PREFIX_BYTES = 64
 _JOIN_S = 5.0
 _IDLE_MS, _TURN_S = 1000, 15.0  # of waiting; longest time of a turn
-_LINGER_MS = 200  # at the end only, so that the last status goes out
 
 
 class Publisher:
@@ -79,7 +74,7 @@ class Publisher:
     ) -> None:
         self._clock = clock or SystemClock()
         self._origin = Origin(device, session, identity)
-        self._retained = messages.retained(
+        retained = messages.retained(
             self._origin,
             calibration=calibration_data,
             rays=calibration.left.rays(),
@@ -94,23 +89,18 @@ class Publisher:
         self._cloud: tuple[CloudItem, Origin] | None = None
         self._status: dict[str, Any] | None = None
         self._lines: deque[tuple[int, str, str, str]] = deque(maxlen=_LOG_QUEUE)
-        self._prefixes: set[bytes] = set()
         self._full_parts = tuple(parts)
-        self._sent, self._dropped = Counters(), 0
+        self._dropped = 0
         self._latency_ms = Percentiles()
         self._line_count = self._status_count = 0
-        self._problems: dict[str, str] = {}
+        self._problem = ""
         self._closing = False
         self.heartbeat = Heartbeat()
-        self._context: zmq.Context[Any] = zmq.Context()
-        self._socket = self._context.socket(zmq.XPUB)
+        self._socket = StreamSocket(endpoints, retained=retained, subscribed=lambda all_: self._topics.note(all_))
         self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        for option, value in _OPTIONS.items():
-            self._socket.setsockopt(option, value)
         #: What was bound, with real port numbers.
-        self.endpoints: list[str] = []
+        self.endpoints = self._socket.endpoints
         try:
-            self.endpoints = bind_all(self._socket, endpoints)
             shared = SharedClouds(self.endpoints, limit_bytes=shared_bytes)
         except BaseException:
             self._release()
@@ -146,13 +136,13 @@ class Publisher:
         )
 
         # Only changed messages: a burst must fit into a subscriber's queue.
-        new = {topic for topic, frames in retained.items() if _differs(frames, self._retained[topic])}
+        new = {topic for topic, frames in retained.items() if messages.differ(frames, self._socket.retained[topic])}
         if origin != self._origin:
             new |= set(retained) - {"meta/schema"}
 
         def commit() -> None:
             with self._lock:
-                self._origin, self._retained = origin, retained
+                self._origin, self._socket.retained = origin, retained
                 self._republish |= new
                 self._preview_ns = _period_ns(config.stream.preview_hz)
                 self._full_parts = tuple(config.outputs.parts)
@@ -168,7 +158,7 @@ class Publisher:
 
     def has_subscribers(self, topic: str) -> bool:
         """Whether a topic has subscribers now."""
-        return any(topic.encode().startswith(prefix) for prefix in tuple(self._prefixes))
+        return self._socket.has_subscribers(topic)
 
     def wanted_parts(self) -> frozenset[str]:
         """Parts that subscribers ask for by topic."""
@@ -182,13 +172,13 @@ class Publisher:
         values: dict[str, Any] = {
             "endpoints": self.endpoints,
             "shared": self._shared,
-            "sent": self._sent.snapshot(),
+            "sent": self._socket.sent.snapshot(),
             "dropped": self._dropped,
             "latency_ms": self._latency_ms.summary(),
-            "topics": sorted(prefix.decode(errors="replace") for prefix in tuple(self._prefixes)),
+            "topics": sorted(prefix.decode(errors="replace") for prefix in self._socket.prefixes),
         }
-        problems = [f"{topic}: {text}" for topic, text in dict(self._problems).items()]
-        problems += [f"cloud/shared: {text}" for text in (self._topics.problem,) if text]
+        texts = dict(self._socket.problems) | {"cloud/shared": self._topics.problem, "thread": self._problem}
+        problems = [f"{topic}: {text}" for topic, text in texts.items() if text]
         return values | ({"problem": "; ".join(problems)} if problems else {})
 
     def close(self) -> None:
@@ -211,9 +201,9 @@ class Publisher:
 
     def _run(self) -> None:
         with suppress(Exception):  # the first message reports the error
-            _load_codecs()
+            load_codecs()
         poller = zmq.Poller()
-        poller.register(self._socket, zmq.POLLIN)
+        poller.register(self._socket.socket, zmq.POLLIN)
         poller.register(self._wake_fd, zmq.POLLIN)
         try:
             while not self._closing:
@@ -221,11 +211,11 @@ class Publisher:
                 events = dict(poller.poll(_IDLE_MS))
                 if self._wake_fd in events:
                     os.eventfd_read(self._wake_fd)
-                self._serve_subscriptions()
+                self._socket.serve_subscriptions()
                 self._send_waiting()
             self._send_waiting()  # the last status
         except Exception as error:
-            self._problems["thread"] = f"it ended: {error}"
+            self._problem = f"it ended: {error}"
             log.exception("the stream's thread ended")
         finally:
             self.heartbeat.rest()
@@ -235,35 +225,9 @@ class Publisher:
                 self._release()
 
     def _release(self) -> None:
-        self._socket.close(linger=_LINGER_MS)
-        self._context.term()
-        remove_files(self.endpoints)
+        self._socket.close()
         os.close(self._wake_fd)
         self._wake_fd = -1
-
-    def _serve_subscriptions(self) -> None:
-        """Note the subscriptions; send each retained topic at most once, however many subscribe at the same time."""
-        requested: set[str] = set()
-        while (prefix := self._next_subscription()) is not None:
-            requested |= {topic for topic in self._retained if topic.encode().startswith(prefix)}
-        for topic in sorted(requested):
-            self._send(topic, self._retained[topic])
-
-    def _next_subscription(self) -> bytes | None:
-        """The prefix of a new subscription (one without any topic for other messages), None when nothing waits."""
-        try:
-            message = self._socket.recv(zmq.NOBLOCK)
-        except zmq.Again:
-            return None
-        prefix = message[1:]
-        if message[:1] == b"\0":
-            self._prefixes.discard(prefix)
-            self._topics.note(self._prefixes)
-        elif message[:1] == b"\1" and len(prefix) <= _MAX_PREFIX_BYTES and len(self._prefixes) < _MAX_PREFIXES:
-            self._prefixes.add(prefix)
-            self._topics.note(self._prefixes)
-            return prefix
-        return b"\xff"
 
     def _send_waiting(self) -> None:
         with self._lock:
@@ -276,20 +240,21 @@ class Publisher:
         if cloud is not None and old:
             self._send_cloud(*cloud)
         for topic in sorted(topic for topic in republish if self.has_subscribers(topic)):
-            self._send(topic, self._retained[topic])
+            self._socket.send(topic, self._socket.retained[topic])
         if cloud is not None and not old:
             self._send_cloud(*cloud)
+        send = self._socket.send_if_subscribed
         if status is not None:
             self._status_count += 1
-            self._send_if_subscribed("status", lambda: messages.status(self._origin, status, seq=self._status_count))
+            send("status", lambda: messages.status(self._origin, status, seq=self._status_count))
         for t_ns, level, logger, text in lines:
             self._line_count += 1
-            self._send_if_subscribed("log", lambda line=(t_ns, level, logger, text): self._line(*line))  # type: ignore[misc]
+            send("log", lambda line=(t_ns, level, logger, text): self._line(*line))  # type: ignore[misc]
 
     def _send_cloud(self, item: CloudItem, origin: Origin) -> None:
         sent = False
         for topic, make in self._topics.makers(origin, item, self._full_parts).items():
-            if self._send_if_subscribed(topic, make) and not sent:
+            if self._socket.send_if_subscribed(topic, make) and not sent:
                 sent = True
                 self._latency_ms.note((self._clock.realtime_ns() - item.t_arrived_ns) / 1e6)
         now_ns = self._clock.monotonic_ns()
@@ -297,61 +262,11 @@ class Publisher:
             self._preview_due_ns = now_ns + self._preview_ns
             from daemon.live.publishing.preview import preview
 
-            self._send_if_subscribed("preview", lambda: preview(origin, item))
+            self._socket.send_if_subscribed("preview", lambda: preview(origin, item))
 
     def _line(self, t_ns: int, level: str, logger: str, text: str) -> Frames:
         return messages.log(self._origin, seq=self._line_count, t_ns=t_ns, level=level, logger=logger, text=text)
 
-    def _send_if_subscribed(self, topic: str, make: Callable[[], Frames | None]) -> bool:
-        """Whether it was sent. A message that cannot be made must not stop the others: the status reports it.
-
-        ``make`` returns None for a message that is left out.
-        """
-        if not self.has_subscribers(topic):
-            return False
-        try:
-            frames = make()
-        except Exception as error:
-            if topic not in self._problems:
-                log.exception("%s cannot be made", topic)
-            self._problems[topic] = str(error)
-            return False
-        self._problems.pop(topic, None)
-        if frames is None:
-            return False
-        self._send(topic, frames)
-        # libzmq may have accepted a subscription during the call: its meta messages come before the next message.
-        self._serve_subscriptions()
-        return True
-
-    def _send(self, topic: str, frames: Frames) -> None:
-        self._socket.send_multipart(frames, zmq.NOBLOCK, copy=False)
-        self._sent.add(topic)
-
-
-def _differs(a: Frames, b: Frames) -> bool:
-    """Whether two messages carry different data, headers aside."""
-    return [bytes(part) for part in a[2:]] != [bytes(part) for part in b[2:]]
-
 
 def _period_ns(preview_hz: float) -> int | None:
     return round(1e9 / min(preview_hz, MAX_PREVIEW_HZ)) if preview_hz > 0 else None
-
-
-def _load_codecs() -> None:
-    """Import what depth and preview need before the first of them is made: it takes half a second."""
-    import blosc2
-
-    import daemon.live.publishing.preview  # noqa: F401
-
-    # One chunk is compressed in a millisecond; more threads would only slow down the pipeline.
-    blosc2.set_nthreads(1)
-
-
-_OPTIONS = {
-    zmq.XPUB_VERBOSE: 1,
-    zmq.SNDHWM: _SEND_QUEUE,
-    zmq.LINGER: 0,
-    zmq.TCP_KEEPALIVE: 1,
-    zmq.MAXMSGSIZE: 1024,  # subscriptions are short; a longer message disconnects its sender
-}

@@ -12,7 +12,7 @@ from daemon.control.calibrate_methods import CalibrateMethods
 from daemon.control.health_methods import HealthMethods
 from daemon.control.methods import Methods
 from daemon.control.rpc import background_executor, protocol
-from daemon.live.publishing import publisher
+from daemon.live.publishing import stream_socket
 from daemon.live.status import Status as DaemonStatus
 from fringed.protocol import methods, status
 from fringed.protocol.limits import ERRORS, LIMITS
@@ -54,8 +54,8 @@ def test_errors_and_limits_are_those_of_the_daemon() -> None:
     assert LIMITS["control: answer, bytes"] == protocol.MAX_ANSWER_BYTES
     assert LIMITS["control: requests in a batch (this machine only)"] == protocol.MAX_BATCH
     assert LIMITS["control: background requests that wait"] == background_executor.CAPACITY
-    assert LIMITS["stream: messages that wait for a slow subscriber"] == publisher._SEND_QUEUE
-    assert LIMITS["stream: subscription, bytes"] == publisher._MAX_PREFIX_BYTES
+    assert LIMITS["stream: messages that wait for a slow subscriber"] == stream_socket._SEND_QUEUE
+    assert LIMITS["stream: subscription, bytes"] == stream_socket._MAX_PREFIX_BYTES
 
 
 def test_every_error_code_and_method_is_on_the_page() -> None:

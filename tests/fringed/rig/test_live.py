@@ -174,7 +174,7 @@ def test_silence_names_a_port_where_nothing_listens() -> None:
 
 
 def test_a_wait_without_a_time_out_is_logged(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fringed.client._WARN_S", 0.0)
+    monkeypatch.setattr("fringed.stream.cloud_stream._WARN_S", 0.0)
 
     async def wait() -> None:
         async with fringed.asubscribe("tcp://127.0.0.1:1") as clouds:

@@ -10,7 +10,7 @@ import numpy as np
 
 from daemon.apps.export.cloud_files import SavedCloud
 from daemon.common.errors import DaemonError
-from fringed.cloud_store import ARRAYS, NAME, VERSION
+from fringed.files.cloud_store import ARRAYS, NAME, VERSION
 
 _KINDS: dict[str, tuple[str, float, tuple[int, ...]]] = {
     "xyz": ("float32", float("nan"), (3,)), "sigma_mm": ("float32", float("nan"), ()), "gray": ("uint8", 0, ()),

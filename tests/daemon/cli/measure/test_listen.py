@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from daemon.live.publishing.publisher import Publisher
-from fringed.ply import ply_bytes
+from fringed.files.ply import ply_bytes
 from tests.daemon.live.publishing import clouds
 from tests.fringed.test_wire import GOLDEN
 

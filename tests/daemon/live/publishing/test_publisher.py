@@ -24,9 +24,9 @@ from daemon.live.items import UnpairedFrame
 from daemon.live.publishing.preview import overlay
 from daemon.live.publishing.publisher import Publisher
 from fringed import FringedError, SilenceError, WireError, asubscribe, subscribe, wire
-from fringed.client import Subscription
-from fringed.losses import Losses
-from fringed.receiver import Receiver
+from fringed.stream.losses import Losses
+from fringed.stream.receiver import Receiver
+from fringed.stream.subscription import Subscription
 from tests.daemon import rigs
 from tests.daemon.live.publishing import clouds
 from tools.waiting import wait_until

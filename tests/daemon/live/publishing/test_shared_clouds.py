@@ -13,10 +13,10 @@ import pytest
 
 from daemon.live.publishing.shared_clouds import LEAST_SLOTS, MOST_SLOTS, SharedClouds
 from fringed import FringedError, subscribe
-from fringed.client import Subscription
 from fringed.errors import OverwrittenError, SharedMemoryError, WireError
 from fringed.parts import BASIC, PARTS, copied_topic, shared_topic
 from fringed.shared_memory import Reference, SharedMemory
+from fringed.stream.subscription import Subscription
 from tests.daemon.live.publishing import clouds
 from tests.daemon.live.publishing.test_parts import WAIT_S, rich
 from tools.waiting import wait_until

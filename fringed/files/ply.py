@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fringed.point_rows import directions, point_rows, positions, quality
+from fringed.files.point_rows import directions, point_rows, positions, quality
 
 _KINDS = {"<f4": "float", "|u1": "uchar"}
 

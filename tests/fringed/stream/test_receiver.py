@@ -2,7 +2,7 @@
 
 import zmq
 
-from fringed.receiver import Receiver
+from fringed.stream.receiver import Receiver
 
 
 def test_a_short_queue_goes_without_heartbeats():

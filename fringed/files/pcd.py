@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fringed.point_rows import directions, point_rows, positions, quality
+from fringed.files.point_rows import directions, point_rows, positions, quality
 
 
 def pcd_bytes(

@@ -1,0 +1,1 @@
+"""Clouds in files: the store of reprocessed takes, PCD and PLY."""

@@ -1,0 +1,1 @@
+"""Subscriptions to the clouds of a daemon."""
