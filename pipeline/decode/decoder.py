@@ -50,6 +50,7 @@ class PhaseMap:
         phase: float32, wrapped angle of the pointwise phasor.
         mean, modulation: uint8, A (the fringe-free texture) and B, counts.
         valid: bool, B is enough and the fit had enough samples.
+        brightness: uint8, counts, mean of the channels made equally bright by their local means, of the pixel alone.
     """
 
     phasor: NDArray[np.int32]
@@ -60,6 +61,7 @@ class PhaseMap:
     phase: F32
     modulation: NDArray[np.uint8]
     valid: NDArray[np.bool_]
+    brightness: NDArray[np.uint8]
 
     @property
     def phase_normalised(self) -> F32:
@@ -151,7 +153,7 @@ class Decoder:
             np.float32(self._settings.saturation), np.float32(noise.floor), np.float32(noise.gain),
             np.float32(self._settings.min_modulation), box.along, box.over, box.drops, np.float32(box.scale),
             self._colored_from, self._chromatic.table, self._chromatic.step,
-            planes["phasor"], planes["descriptors"], mean, planes["variance"], planes["phase"],
+            planes["phasor"], planes["descriptors"], mean, planes["brightness"], planes["variance"], planes["phase"],
             modulation, planes["valid"], planes["saturated"],
         )  # fmt: skip
         if self._mosaic is None:
@@ -161,7 +163,7 @@ class Decoder:
         return PhaseMap(
             planes["phasor"], planes["descriptors"], mean, planes["variance"],
             float(planes["saturated"].sum()) / (height * width), planes["phase"],
-            modulation, planes["valid"],
+            modulation, planes["valid"], planes["brightness"],
         )  # fmt: skip
 
     def color(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -197,7 +199,7 @@ class Decoder:
             single = {k: np.empty((height, width), np.float32) for k in ("variance", "phase")}
             double = {k: np.empty((height, width), np.int32) for k in ("phasor", "descriptors")}
             rest = {"valid": np.empty((height, width), np.bool_), "saturated": np.empty(height, np.int32)}
-            self._planes = {**single, **double, **rest}
+            self._planes = {**single, **double, **rest, "brightness": np.empty((height, width), np.uint8)}
         return self._planes
 
     def _noise(self, image: NDArray[np.uint8]) -> NoiseModel:

@@ -30,11 +30,12 @@ class OrderLattice:
     """The orders of a lattice's pixels, by costs of their candidates.
 
     Args:
-        table: of the lattice's rays.
+        table: of the lattice's rays; by_brightness: jumps of the order cost less where the brightness changes.
     """
 
-    def __init__(self, view: View, table: RayTable) -> None:
+    def __init__(self, view: View, table: RayTable, *, by_brightness: bool) -> None:
         h, w = table.shape
+        self._by_brightness, self._contrast = by_brightness, (np.float32(0), np.float32(0))
         self._view, self.table = view, table
         self._rays = np.zeros((h, w, order_candidates.RAY), np.float32)
         self._rays[..., : len(table.lines)] = np.moveaxis(table.lines, 0, -1)
@@ -60,11 +61,16 @@ class OrderLattice:
         """
         view, table, s = self._view, self.table, self._view.settings
         single = self._limit_orders(correction, stride)
+        if self._by_brightness:
+            (h, w), i, j = table.shape, table.top, table.left
+            self._contrast = phase_links.contrast_factors(
+                reference.brightness, reference.valid, i, table.down, h, j, table.step, w
+            )
         strip_search.search_rows(
             blocks(table.shape[0], strip_search.STRIP), table.top, table.down, table.left, table.step, stride,
-            self._rays, reference.phase, reference.descriptors, reference.valid, other.descriptors,
-            view.phase_to_column, view.linear, single, np.float32(view.extent), self.labels, view.first_axis,
-            np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2),
+            self._rays, reference.phase, reference.descriptors, reference.valid, reference.brightness,
+            self._contrast[0], other.descriptors, view.phase_to_column, view.linear, single, np.float32(view.extent),
+            self.labels, view.first_axis, np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2),
             np.float32(texture * s.texture_weight), np.float32(s.switch_penalty), self.certain, self.expected, refresh,
             np.float32(s.follow_cost), self.costs, self._total, self.first, self.count, self.place,
         )  # fmt: skip
@@ -189,8 +195,8 @@ class OrderLattice:
         view, table = self._view, self.table
         penalty = view.settings.switch_penalty
         phase_links.column_links(
-            len(self._jump), reference.phase, reference.valid, table.top, table.down, table.left, table.step,
-            np.float32(view.slopes[1]), self.count, self._jump, self._weight,
+            len(self._jump), reference.phase, reference.valid, reference.brightness, self._contrast[1], table.top,
+            table.down, table.left, table.step, np.float32(view.slopes[1]), self.count, self._jump, self._weight,
         )  # fmt: skip
         semi_global_aggregation.along_columns(
             blocks(table.shape[1], semi_global_aggregation.BLOCK), self.costs, self.place, self.first, self.count,

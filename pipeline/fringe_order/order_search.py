@@ -24,11 +24,16 @@ with unequal cameras, right orders have different textures as well."""
 
 
 class OrderSearch:
-    """Order search of one view: on every second lattice pixel, then where that leaves pixels open."""
+    """Order search of one view: on every second lattice pixel, then where that leaves pixels open.
 
-    def __init__(self, view: View) -> None:
+    Args:
+        by_brightness: jumps of the order cost less where the brightness changes.
+    """
+
+    def __init__(self, view: View, *, by_brightness: bool) -> None:
         self._view = view
-        self._coarse, self._fine = OrderLattice(view, view.table.every_second()), OrderLattice(view, view.table)
+        self._coarse = OrderLattice(view, view.table.every_second(), by_brightness=by_brightness)
+        self._fine = OrderLattice(view, view.table, by_brightness=by_brightness)
         self._refresh, self._has_prior = 0, False
 
     def least_costs(self, reference: PhaseMap, other: PhaseMap, correction: F64, *, stride: int) -> NDArray[np.float32]:
@@ -84,7 +89,9 @@ class OrderSearch:
         if limits.margin > 0:
             groups = Groups(label, sizes, CELL // stride)
             margins = self._fine.margins(reference, other, correction, limits, order, stride, groups)
-            groups.reject(margins < limits.margin, limits.ambiguous_share, valid)
+            share = groups.reject(margins < limits.margin, limits.ambiguous_share, valid)
+            # The second call has no rows where nothing is to be rejected.
+            groups.reject_each(np.isfinite(margins) & (share > limits.most_rejected), valid)
 
     def reject_contradicted(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, order: NDArray[np.int16]

@@ -1,4 +1,10 @@
-"""Links of neighbouring lattice pixels: the change of fringe order between them along a continuous surface."""
+"""Links of neighbouring lattice pixels: the change of fringe order between them along a continuous surface.
+
+A link has a weight, by which the penalty of another change of order is multiplied. Where the brightness changes, a
+surface may end: as Hirschmueller (PAMI 30, 2008) lowers the penalty by the gradient of the image, the weight falls with
+the contrast of both ends. Fringes may be left in the brightness, of saturated images above all. They are in all of an
+image, contrasts of surfaces are rare: the median of an image's contrasts limits how much they count.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +13,23 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import inline
+from pipeline.common.jit import inline, serial
 from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import decay, whole_turns
 
 _TURN, _FOUR, _EIGHT = np.float32(2 * pi), np.float32(4), np.float32(8)
 _BROKEN = np.float32(0.15)
 _ZERO, _HALF = np.float32(0), np.float32(0.5)
+CONTRAST = 300.0
+"""The weight of a link is multiplied by exp(-CONTRAST c^2), c the difference of its ends' brightness over their sum."""
+_DARK = np.float32(32)
+"""Added to that sum, counts: the noise of dark surfaces is no contrast."""
+_TYPICAL = 0.013
+"""Median contrast from which on it counts less."""
+_ROWS, _COLUMNS = 8, 2
+"""Every n-th row and column of a lattice is used for the median."""
+_BINS, _LAST, _FINE = 128, np.float32(127), np.float32(1000)
+"""Bins of the histogram of contrasts, the last one's number, and that of a contrast of 1."""
 
 
 @inline
@@ -24,13 +40,71 @@ def _link(total: Any, before: Any, phase: Any, worst: Any, all_valid: bool) -> t
 
 
 @inline
-def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, count: Any, jump: Any, weight: Any) -> None:
+def _contrast(one: Any, other: Any) -> Any:
+    """Contrast of two numbers of counts."""
+    first, second = np.float32(one), np.float32(other)
+    return (first - second) / (first + second + _DARK)
+
+
+@inline
+def _alike(one: Any, other: Any, factor: Any) -> Any:
+    """Weight 0 .. 1 by the brightness of both ends of a link."""
+    contrast = _contrast(one, other)
+    return decay(min(factor * contrast * contrast, _EIGHT))
+
+
+@inline
+def _bin(one: Any, other: Any) -> Any:
+    """Number of a contrast in the histogram."""
+    contrast = _contrast(one, other)
+    return np.int32(min(abs(contrast) * _FINE, _LAST))
+
+
+@serial
+def _limited_factor(histogram: Any) -> Any:
+    """CONTRAST, or less where the median of the contrasts (bins,) is high."""
+    total, below, median = histogram.sum(), 0, 0
+    while median < histogram.shape[0] - 1 and 2 * (below + histogram[median]) < total:
+        below += histogram[median]
+        median += 1
+    ratio: Any = min(_TYPICAL / ((median + 0.5) / _FINE), 1.0)
+    return np.float32(CONTRAST * ratio * ratio)
+
+
+@serial
+def contrast_factors(
+    brightness: Any, valid: Any, i0: int, down: int, h: int, j0: int, step: int, w: int
+) -> tuple[Any, Any]:
+    """Factors of the squared contrasts of a lattice's links, along rows and along columns.
+
+    Args:
+        brightness: (H, W) uint8, counts; valid: (H, W) bool; the lattice as of :func:`column_links`, h by w.
+    """
+    along, across = np.zeros(_BINS, np.int64), np.zeros(_BINS, np.int64)
+    for a in range(0, h - 1, _ROWS):
+        i = i0 + down * a
+        for b in range(0, w - 1, _COLUMNS):
+            j = j0 + step * b
+            if valid[i, j]:
+                if valid[i, j + step]:
+                    along[_bin(brightness[i, j], brightness[i, j + step])] += 1
+                if valid[i + down, j]:
+                    across[_bin(brightness[i, j], brightness[i + down, j])] += 1
+    return _limited_factor(along), _limited_factor(across)
+
+
+@inline
+def row_links(
+    phase: Any, valid: Any, brightness: Any, factor: Any, j0: int, step: int, slope: Any, count: Any, jump: Any,
+    weight: Any,
+) -> None:  # fmt: skip
     """Link the lattice pixels of a row to their left neighbours.
 
     The phase is unwrapped pixel by pixel in between: robust on steep surfaces, and no break is missed.
 
     Args:
-        phase, valid: a row of the image; lattice pixel b is its column ``j0 + step b``.
+        phase, valid, brightness: a row of the image; lattice pixel b is its column ``j0 + step b``.
+        factor: of the squared contrast, 0 = the brightness does not count.
         slope: expected phase step per pixel, radians; count: (w,) labels of each; pixels with one label at most
             are not linked.
         jump: (w,) int32, change of order from the neighbour to the pixel along a continuous surface.
@@ -53,7 +127,8 @@ def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, count: Any
         worst = _HALF * abs(last) if step == 1 else worst
         change, smooth = _link(total, phase[m], phase[n], worst, all_valid)
         both = valid[m] & valid[n]
-        jump[b], weight[b] = np.int32(change) if both else 0, smooth if both else _ZERO
+        jump[b] = np.int32(change) if both else 0
+        weight[b] = smooth * _alike(brightness[m], brightness[n], factor) if both else _ZERO
 
 
 @parallel
@@ -61,6 +136,8 @@ def column_links(
     a: int,
     phase: Any,
     valid: Any,
+    brightness: Any,
+    factor: Any,
     i0: int,
     down: int,
     j0: int,
@@ -92,4 +169,5 @@ def column_links(
         worst = _HALF * abs(last) if down == 1 else worst
         change, smooth = _link(total, phase[top, m], phase[top + down, m], worst, all_valid)
         both = valid[top, m] & valid[top + down, m]
-        jump[a, b], weight[a, b] = np.int32(change) if both else 0, smooth if both else _ZERO
+        jump[a, b] = np.int32(change) if both else 0
+        weight[a, b] = smooth * _alike(brightness[top, m], brightness[top + down, m], factor) if both else _ZERO

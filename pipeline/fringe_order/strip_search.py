@@ -29,7 +29,7 @@ _TURN, _NAN, _ZERO = np.float32(2 * np.pi), np.float32(np.nan), np.float32(0)
 @parallel
 def search_rows(
     strip: int, top: int, down: int, left: int, step: int, stride: int, rays: Any,
-    phase: Any, descriptors: Any, valid: Any, other_descriptors: Any,
+    phase: Any, descriptors: Any, valid: Any, brightness: Any, contrast: Any, other_descriptors: Any,
     columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
     inv: Any, texture: Any, penalty: Any, certain: Any, expected: Any, refresh: int, limit: Any,
     costs: Any, total: Any, first: Any, count: Any, place: Any,
@@ -40,6 +40,7 @@ def search_rows(
         top, down, left, step: lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
         rays: (h, w, RAY), see :data:`pipeline.fringe_order.order_candidates.RAY`.
         phase: (H, W) float32; valid: (H, W) bool.
+        brightness: (H, W) uint8; contrast: factor of its squared contrasts, see :mod:`.phase_links`.
         descriptors, other_descriptors: (H, W) int32, of both images, see :mod:`pipeline.decode.pixel_descriptor`.
         columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels
             across.
@@ -136,7 +137,7 @@ def search_rows(
     for a in range(a0, a1):
         i = top + down * a
         if a % stride == 0:
-            row_links(phase[i], valid[i], left, step, slope, count[a], jump, weight)
+            row_links(phase[i], valid[i], brightness[i], contrast, left, step, slope, count[a], jump, weight)
             along_row(costs, place[a], first[a], count[a], jump, weight, penalty, labels, paths, total)
 
 

@@ -148,7 +148,7 @@ class SetDecoder:
         share = float(self._saturated.sum()) / self._saturated.size / self._phase_limits.size[0]
         valid = self._order != temporal_unwrapping.NONE
         descriptors_without_color(len(phase), phase, valid, counts, self._descriptors)
-        found = PhaseMap(self._phasor, self._descriptors, counts, variance, share, phase, modulation, valid)
+        found = PhaseMap(self._phasor, self._descriptors, counts, variance, share, phase, modulation, valid, counts)
         return SetPhase(found, self._order, absolute_phase, int(moved))
 
     def _take(self, images: Sequence[NDArray[Any]], side: str) -> None:

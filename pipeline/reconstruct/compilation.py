@@ -95,6 +95,7 @@ def _phase_map() -> PhaseMap:
     return PhaseMap(
         np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros(shape, np.uint8), np.ones(shape, np.float32),
         0.0, np.zeros(shape, np.float32), np.zeros(shape, np.uint8), np.ones(shape, np.bool_),
+        np.zeros(shape, np.uint8),
     )  # fmt: skip
 
 

@@ -115,7 +115,7 @@ def scan_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> ColumnSc
 
 def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> MatchResult:
     """Find the projector's column correction from a pair and keep it; returns the match, valid until the next."""
-    inside = OrderSearch(View.of(made.calibration, made.pattern, made.volume, made.settings))
+    inside = OrderSearch(View.of(made.calibration, made.pattern, made.volume, made.settings), by_brightness=False)
     offsets = column_correction.offsets_to_try(made.settings.self_calibration_range)
     between = offsets[:-1] + _HALF_STEP
 

@@ -96,10 +96,12 @@ class Reconstructor:
         self.decoders = [left_decoder, self._right_decoder()]
         weights = weights_of(*self.settings.window(mosaic=mosaic is not None))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
-        self.searches = OrderSearch(self.left), OrderSearch(self.right)
         distinct = phase_weight(baselines(calibration), linear=self.left.linear)
         # Fringes that repeat: orders must be unique in the right image.
         self._repeats = distinct < DISTINCT
+        # Where they do, wrong orders may cost as little as right ones, and only the links decide.
+        search = partial(OrderSearch, by_brightness=not self._repeats)
+        self.searches = search(self.left), search(self.right)
         self._least_margin = self.settings.uniqueness_ratio / 100 * max(_LEAST_MARGIN, distinct)
         self._kept, self._place = (np.empty(self.left.table.shape, kind) for kind in (np.int16, np.int32))
         self._order = np.empty(calibration.left.size[::-1], np.int16)

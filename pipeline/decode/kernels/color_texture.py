@@ -23,7 +23,7 @@ from pipeline.decode.kernels.row_output import row_stride
 from pipeline.decode.kernels.three_step import levels_of_row
 
 BANDS = 12
-_ZERO, _HALF, _MOST = np.float32(0), np.float32(0.5), np.float32(255)
+_HALF, _MOST = np.float32(0.5), np.float32(255)
 
 
 @parallel
@@ -57,21 +57,6 @@ def _extend(means: Any, along: int) -> None:
 
 
 @serial
-def _brightness_of_row(levels: Any, balance: Any, unmix: Any, ideal: Any, out: Any) -> None:
-    """Mean of the balanced channels of a row, out (W,); the rest as in ``normalised_row``."""
-    a0, a1, a2 = ideal[0, 0], ideal[0, 1], ideal[0, 2]
-    n = out.shape[0]
-    row_x, row_y, row_z = levels[0, :n], levels[1, :n], levels[2, :n]
-    by0, by1, by2 = balance[0, :n], balance[1, :n], balance[2, :n]
-    for j in range(n):
-        x, y, z = row_x[j], row_y[j], row_z[j]
-        e0 = (unmix[0, 0] * x + unmix[0, 1] * y + unmix[0, 2] * z) * by0[j]
-        e1 = (unmix[1, 0] * x + unmix[1, 1] * y + unmix[1, 2] * z) * by1[j]
-        e2 = (unmix[2, 0] * x + unmix[2, 1] * y + unmix[2, 2] * z) * by2[j]
-        out[j] = max(a0 * e0 + a1 * e1 + a2 * e2, _ZERO)
-
-
-@serial
 def _colors_of_row(brightness: Any, balance: Any, out: Any) -> None:
     """Brightness (W,) times the channels' means, out (3 W,) uint8."""
     n = brightness.shape[0]
@@ -97,9 +82,9 @@ def color_texture(
     height, width = image.shape[0], image.shape[1] // 3
     wide = row_stride(3 * width + 6 * along)
     low, high = band * height // BANDS, (band + 1) * height // BANDS
-    slab = np.zeros((9, row_stride(width)), np.float32)
-    levels, balance = slab[0:3], slab[3:6]
-    re, im, brightness = slab[6, :width], slab[7, :width], slab[8, :width]
+    slab = np.zeros((10, row_stride(width)), np.float32)
+    levels, balance = slab[0:3], slab[3:7]
+    re, im, brightness = slab[7, :width], slab[8, :width], slab[9, :width]
     boxes = np.zeros((2 + over, wide), np.uint16)
     once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
     shorts = np.zeros((5, 2 * wide), np.uint16)
@@ -120,8 +105,7 @@ def color_texture(
             _extend(means, along)
             balance_of_row(means, scale, black, unmix, balance)
         levels_of_row(image[y], unit, black, levels)
-        _brightness_of_row(levels, balance, unmix, ideal, brightness)
+        normalised_row(levels, balance, unmix, ideal, re, im, brightness)
         if table_step > 0:
-            normalised_row(levels, balance, unmix, ideal, re, im)
             correct_means(chromatic, table_step, y, re, im, brightness)
         _colors_of_row(brightness, balance, out[y])

@@ -12,6 +12,7 @@ from pipeline.common.tile_math import TILE
 from pipeline.decode.kernels.chromatic_correction import (
     DESIGN_ROWS,
     correct_design,
+    correct_means,
     correct_phasors,
     corrected_design,
     units_of_row,
@@ -19,7 +20,7 @@ from pipeline.decode.kernels.chromatic_correction import (
 from pipeline.decode.kernels.color_gains import BLOCK, balanced_units, design_of_row, gains_of_row
 from pipeline.decode.kernels.decode_rgb import BANDS
 from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
-from pipeline.decode.kernels.local_normalisation import balance_of_row, normalised_row
+from pipeline.decode.kernels.local_normalisation import balance_of_row, brightness_of_row, normalised_row
 from pipeline.decode.kernels.mosaic_fit import (
     AGREEING,
     EIGHTHS,
@@ -119,8 +120,8 @@ def decode_bayer(
     band: int, image: Any, mosaic: Any, rows: Any, black: Any, solution: Any, mix: Any, light: Any, unmix: Any,
     ideal: Any, weights: Any, radius: int, nominal: Any, saturation: float, floor: float, gain: float,
     min_modulation: float, along: int, over: int, drops: Any, scale: float, colored_from: Any, chromatic: Any,
-    table_step: int, phasor: Any, descriptors: Any, mean: Any, variance: Any, phase: Any, modulation: Any, valid: Any,
-    saturated: Any,
+    table_step: int, phasor: Any, descriptors: Any, mean: Any, brightness: Any, variance: Any, phase: Any,
+    modulation: Any, valid: Any, saturated: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.decode.decoder.PhaseMap`; image (H, W) uint8, mosaic (2, 2) channels.
 
@@ -132,12 +133,12 @@ def decode_bayer(
     stride = row_stride(width + TILE + 2 * REACH)
     wide = row_stride(3 * width + 6 * along)
     low, high = band * height // BANDS, (band + 1) * height // BANDS
-    slab = np.zeros((8 * RING + 18, stride), np.float32)
+    slab = np.zeros((8 * RING + 19, stride), np.float32)
     levels, design = slab[0:3], slab[3:9]
     re, im, w = slab[9, :width], slab[10, :width], slab[11, :width]
-    balance, units, samples = slab[12:15], slab[15 : 15 + 2 * RING], slab[15 + 2 * RING : 15 + 4 * RING]
-    plain, gains = slab[15 + 4 * RING : 15 + 5 * RING], slab[15 + 5 * RING : 18 + 5 * RING]
-    designs, own_design = slab[18 + 5 * RING :], np.zeros(RING, np.bool_)  # of rows with strong colours
+    balance, units, samples = slab[12:16], slab[16 : 16 + 2 * RING], slab[16 + 2 * RING : 16 + 4 * RING]
+    plain, gains = slab[16 + 4 * RING : 16 + 5 * RING], slab[16 + 5 * RING : 19 + 5 * RING]
+    designs, own_design = slab[19 + 5 * RING :], np.zeros(RING, np.bool_)  # of rows with strong colours
     boxes = np.zeros((2 + over, wide), np.uint16)
     once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
     shorts = np.zeros((10 + 2 * over, 2 * wide), np.uint16)
@@ -170,10 +171,12 @@ def decode_bayer(
                 balance_of_row(means, scale, black, unmix, balance)
                 n_runs = gains_of_row(balance, colored_from, width, flags, runs, n_runs, gains)
             if low <= y < high:
-                normalised_row(levels, balance, unmix, ideal, re, im)
+                normalised_row(levels, balance, unmix, ideal, re, im, w)
                 if table_step > 0:
+                    correct_means(chromatic, table_step, y, re, im, w)
                     correct_phasors(chromatic, table_step, y, re, im)
                 normalised_phase_row(re, im, descriptors[y])
+                brightness_of_row(w, balance, brightness[y])
             rough_units(levels, solution, unit_re, unit_im, plain[k, :width])
             own_design[k] = n_runs > 0
             if n_runs > 0:

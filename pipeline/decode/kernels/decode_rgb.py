@@ -16,7 +16,7 @@ from pipeline.common.tile_math import TILE
 from pipeline.decode.kernels.chromatic_correction import correct_means, correct_phasors, units_of_row
 from pipeline.decode.kernels.color_gains import BLOCK, balanced_row, gains_of_row, widen_at_changes
 from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
-from pipeline.decode.kernels.local_normalisation import balance_of_row, normalised_row
+from pipeline.decode.kernels.local_normalisation import balance_of_row, brightness_of_row, normalised_row
 from pipeline.decode.kernels.row_output import angles_of_row, counts_of_row, describe_row, row_stride
 from pipeline.decode.kernels.saturated_fit import SATURATED_SLOTS, fit_saturated, plain_mean, saturated_of_row
 from pipeline.decode.kernels.three_step import levels_of_row, pointwise_row
@@ -108,7 +108,8 @@ def decode_rgb(
     band: int, image: Any, black: Any, solve: Any, mix: Any, light: Any, unmix: Any, ideal: Any, weights: Any,
     radius: int, nominal: Any, saturation: float, floor: float, gain: float, min_modulation: float, along: int,
     over: int, drops: Any, scale: float, colored_from: Any, chromatic: Any, table_step: int, phasor: Any,
-    descriptors: Any, mean: Any, variance: Any, phase: Any, modulation: Any, valid: Any, saturated: Any,
+    descriptors: Any, mean: Any, brightness: Any, variance: Any, phase: Any, modulation: Any, valid: Any,
+    saturated: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.decode.decoder.PhaseMap`.
 
@@ -122,7 +123,7 @@ def decode_rgb(
         colored_from: (2,), of :func:`pipeline.decode.kernels.color_gains.limits_of`.
         chromatic, table_step: table and step of :class:`pipeline.decode.chromatic_phase.ChromaticCorrection`.
         phasor: (H, W) int32, packed; descriptors: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`;
-        variance, phase: (H, W) float32; mean, modulation: (H, W) uint8;
+        variance, phase: (H, W) float32; mean, brightness, modulation: (H, W) uint8;
         valid: (H, W) bool; saturated: (H,) int32, number of pixels with a saturated sample.
     """
     height, width = mean.shape
@@ -131,12 +132,12 @@ def decode_rgb(
     wide = row_stride(3 * width + 6 * along)
     low, high = band * height // BANDS, (band + 1) * height // BANDS
     # Beyond the ends of a row, and of the image, there is room for a window, whose weights are 0.
-    slab = np.zeros((7 * ring + 17, row_stride(width + 2 * reach)), np.float32)
+    slab = np.zeros((7 * ring + 18, row_stride(width + 2 * reach)), np.float32)
     first, end = reach, reach + width
     w, c, s = slab[0, first:end], slab[1, first:end], slab[2, first:end]
     a, v, re, im = slab[3, first:end], slab[4, first:end], slab[5, :width], slab[6, :width]
-    average, levels, balance, gains = slab[7, :width], slab[8:11], slab[11:14], slab[14:17]
-    unit, sums = slab[17 : 17 + 2 * ring], slab[17 + 2 * ring :]
+    average, levels, balance, gains = slab[7, :width], slab[8:11], slab[11:15], slab[15:18]
+    unit, sums = slab[18 : 18 + 2 * ring], slab[18 + 2 * ring :]
     boxes = np.zeros((2 + over, wide), np.uint16)
     once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
     shorts = np.zeros((5, 2 * wide), np.uint16)
@@ -164,10 +165,12 @@ def decode_rgb(
                 balance_of_row(means, scale, black, unmix, balance)
                 n_runs = gains_of_row(balance, colored_from, width, flags, runs, n_runs, gains)
             if low <= y < high:
-                normalised_row(levels, balance, unmix, ideal, w, c)
+                normalised_row(levels, balance, unmix, ideal, w, c, s)
                 if table_step > 0:
+                    correct_means(chromatic, table_step, y, w, c, s)
                     correct_phasors(chromatic, table_step, y, w, c)
                 normalised_phase_row(w, c, descriptors[y])
+                brightness_of_row(s, balance, brightness[y])
             ur, ui = unit[k, first:end], unit[ring + k, first:end]
             count = pointwise_row(levels, black, solve, saturation, floor, gain, ur, ui, w, c, s, a, v)
             for run in range(n_runs):

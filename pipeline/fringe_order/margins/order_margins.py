@@ -42,6 +42,9 @@ CLEAR_GAIN, CLEAR_SHARE = 0.03, 0.5
 likelihood from which they do, see :class:`pipeline.reconstruct.column_correction.OffsetLikelihood`."""
 VAGUE_GAIN, VAGUE_SHARE = 0.01, 0.25
 """The same where hardly any does, and another offset explains the pair as well: all of a wall may have wrong orders."""
+MOST_REJECTED = 0.5
+"""Share of the pixels of all surfaces that may be rejected where the fringes repeat. Where more are, orders that win
+clearly are wrong as well, and groups with which any other order competes get no points."""
 
 
 class Limits(NamedTuple):
@@ -70,6 +73,11 @@ class Limits(NamedTuple):
         if self.gain >= CLEAR_GAIN and self.even < 0:
             return CLEAR_SHARE
         return VAGUE_SHARE if len(self.shifts) and self.gain < VAGUE_GAIN else AMBIGUOUS_SHARE
+
+    @property
+    def most_rejected(self) -> float:
+        """As :data:`MOST_REJECTED`; 1 where the fringes do not repeat."""
+        return MOST_REJECTED if self.even >= 0 else 1.0
 
 
 @parallel

@@ -54,18 +54,35 @@ class Groups:
         n = _choose(group, SAMPLES, self._pixels, np.empty(len(self), np.int32), nodes)
         return nodes[:n], group[nodes[:n]]
 
-    def reject(self, ambiguous: NDArray[np.bool_], most: float, valid: NDArray[np.uint8]) -> None:
+    def reject(self, ambiguous: NDArray[np.bool_], most: float, valid: NDArray[np.uint8]) -> float:
         """Reject the surfaces that are ambiguous (n,), after :meth:`sampled`; ``valid`` (H, W) is changed.
 
         Args:
             most: as :attr:`.order_margins.Limits.ambiguous_share`.
+
+        Returns:
+            Share of the pixels of all surfaces that are rejected.
         """
         cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (ambiguous, self._pixels))
-        share = (cells * pixels).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
-        rejected = ambiguous[: self._surfaces].copy()
-        rejected[self._row >= 0] = share >= most
+        of_large = pixels.sum(axis=1)
+        rejected = ambiguous.copy()
+        rejected[self._surfaces :] = False
+        rejected[: self._surfaces][self._row >= 0] = (cells * pixels).sum(axis=1) / np.maximum(of_large, 1) >= most
+        self._reject(rejected, valid)
+        of_surfaces = self._pixels[: self._surfaces].copy()
+        of_surfaces[self._row >= 0] = of_large
+        return float(of_surfaces[rejected[: self._surfaces]].sum() / max(of_surfaces.sum(), 1))
+
+    def reject_each(self, rejected: NDArray[np.bool_], valid: NDArray[np.uint8]) -> None:
+        """Reject groups (n,), cells of large surfaces alone; ``valid`` (H, W) is changed."""
+        alone = rejected.copy()
+        alone[: self._surfaces][self._row >= 0] = False
+        self._reject(alone, valid)
+
+    def _reject(self, rejected: NDArray[np.bool_], valid: NDArray[np.uint8]) -> None:
         # The loop is called without rows as well, or it would be compiled in the middle of a live run.
-        _reject(len(valid) if rejected.any() else 0, self._label, rejected, valid)
+        rows = len(valid) if rejected.any() else 0
+        _reject(rows, self._label, self._row, self._cell, self._across, self._cells, rejected, valid)
 
 
 @parallel
@@ -115,7 +132,10 @@ def _choose(group: Any, most: int, count: Any, left: Any, out: Any) -> int:
 
 
 @parallel
-def _reject(i: int, label: Any, rejected: Any, valid: Any) -> None:
+def _reject(i: int, label: Any, row: Any, cell: int, across: int, cells: int, rejected: Any, valid: Any) -> None:
+    """Reject the pixels of a row of the image whose surface or cell is rejected; arguments as of _group_pixels."""
+    first = row.shape[0] + (i // cell) * across
     for j in range(label.shape[1]):
-        if label[i, j] != 0 and rejected[np.int64(label[i, j]) - 1]:
+        k = np.int64(label[i, j]) - 1
+        if k >= 0 and (rejected[k] or (row[k] >= 0 and rejected[first + row[k] * cells + j // cell])):
             valid[i, j] = np.uint8(0)

@@ -53,6 +53,24 @@ def test_brightness_is_as_sharp_as_the_image():
     assert found[45:75, 61:65].max() < 45 and found[45:75, 55:59].min() > 60
 
 
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("albedo", [(0.9, 0.6, 0.5), (0.5, 0.7, 0.8)])
+def test_the_brightness_of_a_coloured_surface_is_its_mean_without_fringes(albedo, axis, encoding):
+    found = decoder(axis, encoding).decode(fringe(albedo, axis, encoding))
+    inner = np.s_[12:-12, 12:-12]
+    brightness, mean = (x[inner].astype(float) for x in (found.brightness, found.mean))
+    assert np.abs(brightness - 100 * np.mean(albedo)).max() < (1.5 if encoding == "rgb8" else 5)
+    assert np.ptp(brightness) < 0.4 * np.ptp(mean)
+
+
+def test_the_decoded_brightness_is_as_sharp_as_the_image():
+    albedo = np.full((*SIZE[::-1], 3), 0.8)
+    albedo[40:80, 60:] = 0.3
+    brightness = decoder().decode(fringe(albedo)).brightness[45:75].astype(float)
+    assert brightness[:, 59].min() > 1.5 * brightness[:, 60].max()
+
+
 def test_colors_leave_the_phases_of_the_same_decoder_alone():
     one, image = decoder(), fringe((0.7, 0.6, 0.5))
     phase = one.decode(image).phase.copy()
