@@ -19,12 +19,10 @@ from pipeline.common.jit import serial
 def balance_of_row(means: Any, scale: float, black: Any, unmix: Any, out: Any) -> None:
     """Factors that make the channels of a row equally bright: one over their means above black, without crosstalk.
 
-    And the mean of these means.
-
     Args:
         means: (3 W,) uint16, colours interleaved; scale: to counts; black: (3,) counts.
         unmix: (3, 3) inverse crosstalk.
-        out: (4, W or more) float32, result.
+        out: (4, W or more) float32, result: the factors, and the mean of the three means.
     """
     n = means.shape[0] // 3
     one, third = np.float32(1.0), np.float32(1 / 3)
