@@ -2,8 +2,8 @@
 
 A link has a weight, by which the penalty of another change of order is multiplied. Where the brightness changes, a
 surface may end: as Hirschmueller (PAMI 30, 2008) lowers the penalty by the gradient of the image, the weight falls with
-the contrast of both ends. Fringes may be left in the brightness, of saturated images above all. They fill the image, while
-edges of surfaces are few: the median of an image's contrasts limits how much they count.
+the contrast of both ends. Fringes may be left in the brightness, of saturated images above all. They fill the image,
+while edges of surfaces are few: the median of an image's contrasts limits how much they count.
 """
 
 from __future__ import annotations
