@@ -62,10 +62,11 @@ class OrderLattice:
         view, table, s = self._view, self.table, self._view.settings
         single = self._limit_orders(correction, stride)
         if self._by_brightness:
-            self._contrast = phase_links.contrast_factors(
+            along, across = phase_links.contrast_factors(
                 reference.brightness, reference.valid, table.top, table.down, table.shape[0], table.left, table.step,
                 table.shape[1],
             )  # fmt: skip
+            self._contrast = np.float32(along), np.float32(across)  # a kernel's numbers arrive in double precision
         strip_search.search_rows(
             blocks(table.shape[0], strip_search.STRIP), table.top, table.down, table.left, table.step, stride,
             self._rays, reference.phase, reference.descriptors, reference.valid, reference.brightness,
