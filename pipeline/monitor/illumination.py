@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.decode.raw_image import BAYER
-from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.rig.calibration import Calibration
 
 Plane = NDArray[np.float32]
 
@@ -35,13 +33,6 @@ class ImageIllumination:
 
     saturated: tuple[float, ...]
     amplitude: tuple[float, ...]
-
-
-def fringe_period_px(calibration: Calibration, pattern: ColorFringe) -> float:
-    """Period of the fringes in the left image, pixels, on a surface as far from the camera as from the projector."""
-    at = 0 if pattern.axis == "x" else 1
-    ratio = float(calibration.left.matrix[at, at] / calibration.projector.matrix[at, at])
-    return ratio * pattern.length / pattern.periods
 
 
 def measure_illumination(

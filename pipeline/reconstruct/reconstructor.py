@@ -28,6 +28,7 @@ from pipeline.fringe_order.order_search import UNCALIBRATED, OrderSearch
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import MatchResult
 from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.fringe_width import width_warnings
 from pipeline.reconstruct import camera_response, column_correction, first_pair
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.column_correction import CorrectionState
@@ -116,7 +117,8 @@ class Reconstructor:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user should correct at the cameras, and why surfaces get no points, a sentence each."""
-        return camera_response.warnings_of(self.response) + column_correction.warnings_of(self.other_shifts)
+        first = camera_response.warnings_of(self.response) + column_correction.warnings_of(self.other_shifts)
+        return first + width_warnings(self.calibration, self.pattern, mosaic=self.encoding.startswith("bayer"))
 
     def state(self) -> CorrectionState:
         """What the first pair sets: column correction and response, 7 numbers, and whether they were measured."""

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.decode.raw_image import BAYER
-from pipeline.monitor.illumination import fringe_period_px, measure_illumination
-from pipeline.pattern.color_fringe import ColorFringe
-from tests.pipeline import rigs
+from pipeline.monitor.illumination import measure_illumination
 
 WIDTH, HEIGHT, PERIOD = 512, 400, 16.7
 AMPLITUDE = (20.0, 35.0, 50.0)
@@ -85,10 +83,3 @@ def test_an_image_of_a_few_pixels_is_no_error() -> None:
     for size in ((2, 3), (5, 40)):
         image = np.zeros((*size, 3), np.uint8)
         assert len(measure_illumination(image, "rgb8", image[..., 0], period_px=PERIOD).amplitude) == 3
-
-
-def test_the_period_is_that_of_the_rig() -> None:
-    rig = rigs.rig()
-    pattern = ColorFringe(size=rig.projector.size, periods=rig.projector.size[0] / 10)
-    ratio = rig.left.matrix[0, 0] / rig.projector.matrix[0, 0]
-    assert fringe_period_px(rig, pattern) == pytest.approx(10 * ratio)

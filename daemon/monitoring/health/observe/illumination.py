@@ -9,8 +9,9 @@ import numpy as np
 from daemon.live.items import CloudItem
 from daemon.monitoring.health.quantities import CHANNELS
 from drivers.protocols import SIDES
-from pipeline.monitor.illumination import ImageIllumination, fringe_period_px, measure_illumination
+from pipeline.monitor.illumination import ImageIllumination, measure_illumination
 from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.fringe_width import fringe_period_px
 from pipeline.rig.calibration import Calibration
 
 _LIT = 5
