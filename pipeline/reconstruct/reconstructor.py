@@ -88,6 +88,7 @@ class Reconstructor:
         self.scan: ColumnScan | None = None
         self._clock, self._threads = clock, threads
         mosaic = mosaic_of(encoding)
+        self._mosaic = mosaic is not None
         self.left, self.right = search_views(calibration, pattern, volume, self.settings)
         self._make_decoder = partial(Decoder.of_left, pattern=pattern, mosaic=mosaic, settings=self.settings)
         middle, self._right_middle = (
@@ -95,7 +96,7 @@ class Reconstructor:
         )
         left_decoder = self._make_decoder(calibration, slopes=self.left.slopes, depth_mm=middle)
         self.decoders = [left_decoder, self._right_decoder()]
-        weights = weights_of(*self.settings.window(mosaic=mosaic is not None))
+        weights = weights_of(*self.settings.window(mosaic=self._mosaic))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
         distinct = phase_weight(baselines(calibration), linear=self.left.linear)
         # Fringes that repeat: orders must be unique in the right image.
@@ -116,9 +117,9 @@ class Reconstructor:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user should correct at the cameras, and why surfaces get no points, a sentence each."""
+        """What a user should correct at cameras and pattern, and why surfaces get no points, a sentence each."""
         first = camera_response.warnings_of(self.response) + column_correction.warnings_of(self.other_shifts)
-        return first + width_warnings(self.calibration, self.pattern, mosaic=self.encoding.startswith("bayer"))
+        return first + width_warnings(self.calibration, self.pattern, mosaic=self._mosaic)
 
     def state(self) -> CorrectionState:
         """What the first pair sets: column correction and response, 7 numbers, and whether they were measured."""
@@ -251,7 +252,7 @@ class Reconstructor:
                 self.settings,
                 self._correlation,
                 stride=stride,
-                mosaic=self.encoding.startswith("bayer"),
+                mosaic=self._mosaic,
             )
             self._stages[stride].contrast = float(self.response[3])
         return self._stages[stride]
