@@ -22,9 +22,11 @@ from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Value
 from pipeline.filter.occlusion.uniqueness import Uniqueness
 from pipeline.filter.surfaces import surface_links
 from pipeline.filter.surfaces.component_test import component_test
+from pipeline.filter.surfaces.continued_orders import continued_orders
 from pipeline.filter.surfaces.small_surfaces import reject_contradicted, reject_eroded, reject_narrow
 from pipeline.filter.surfaces.surface_evidence import DISTINCT
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
+from pipeline.fringe_order.margins.order_margins import Continued
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, MatchResult, Points
 
@@ -45,9 +47,9 @@ MISFIT_OF = np.rint(np.array(EDGE_MISFIT_RAD) * MISFIT_STEPS).astype(np.uint8)
 _LOSS = LOSS.astype(np.float32)
 
 
-RejectAmbiguous = Callable[[NDArray[np.uint16], NDArray[np.int32], NDArray[np.uint8]], None]
-"""Rejects surfaces whose fringe orders do not win clearly: of label (H, W) and sizes (n,), in ``valid`` (H, W); see
-:mod:`pipeline.fringe_order.margins.order_margins`."""
+RejectAmbiguous = Callable[[NDArray[np.uint16], NDArray[np.int32], Continued, NDArray[np.uint8]], None]
+"""Rejects surfaces whose fringe orders do not win clearly: of label (H, W), sizes (n,) and continued orders (n,), in
+``valid`` (H, W); see :mod:`pipeline.fringe_order.margins.order_margins`."""
 
 
 class Gates:
@@ -131,7 +133,8 @@ class Gates:
         self._test_components(match, agreement, mean, scale)
         surfaces.paint(label)
         if reject_ambiguous is not None:
-            reject_ambiguous(label, surfaces.sizes, valid)
+            continued = continued_orders(match, mean, label, surfaces, self._large)
+            reject_ambiguous(label, surfaces.sizes, continued, valid)
         planes = Planes(
             label, agreement.deviation, agreement.misfit, match.right_u, match.residual_normalised, match.residual,
             modulation, mean, *points,

@@ -90,7 +90,7 @@ class OrderLattice:
 
     def margins(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, limits: order_margins.Limits,
-        order: NDArray[np.int16], stride: int, groups: Groups,
+        order: NDArray[np.int16], stride: int, groups: Groups, continued: order_margins.Continued,
     ) -> NDArray[np.float32]:  # fmt: skip
         """(groups,) least margins of the orders; only lattice pixels in rows and columns of the stride count."""
         view, table, s = self._view, self.table, self._view.settings
@@ -116,7 +116,7 @@ class OrderLattice:
             least = np.empty(len(groups), np.float32)
             order_margins.least_margins(
                 group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST,
-                limits.largest_own, limits.even, order_margins.UNEXPLAINED, least,
+                limits.largest_own, limits.even, order_margins.UNEXPLAINED, continued.change, continued.share, least,
             )  # fmt: skip
             return least
 

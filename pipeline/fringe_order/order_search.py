@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pipeline.decode.decoder import PhaseMap
 from pipeline.fringe_order import semi_global_aggregation, strip_search
 from pipeline.fringe_order.coarse_to_fine import interpolate_orders
-from pipeline.fringe_order.margins.order_margins import Limits
+from pipeline.fringe_order.margins.order_margins import Continued, Limits
 from pipeline.fringe_order.margins.sampled_groups import CELL, Groups
 from pipeline.fringe_order.order_lattice import OrderLattice
 from pipeline.geometry.view_tables import View
@@ -78,17 +78,18 @@ class OrderSearch:
     def reject_ambiguous(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, limits: Limits,
         order: NDArray[np.int16], stride: int, label: NDArray[np.uint16], sizes: NDArray[np.int32],
-        valid: NDArray[np.uint8],
+        continued: Continued, valid: NDArray[np.uint8],
     ) -> None:  # fmt: skip
         """Reject surfaces, large ones in cells, whose orders do not win clearly, see :mod:`.margins.order_margins`.
 
         Args:
             order, label: (H / stride, W / stride) order, and one more than the surface, of every n-th pixel.
-            sizes: pixels of each surface; valid: (H / stride, W / stride), changed.
+            sizes: pixels of each surface; continued: of the surfaces.
+            valid: (H / stride, W / stride), changed.
         """
         if limits.margin > 0:
             groups = Groups(label, sizes, CELL // stride)
-            margins = self._fine.margins(reference, other, correction, limits, order, stride, groups)
+            margins = self._fine.margins(reference, other, correction, limits, order, stride, groups, continued)
             share = groups.reject(margins < limits.margin, limits.ambiguous_share, valid)
             # The second call has no rows where nothing is to be rejected.
             groups.reject_each(np.isfinite(margins) & (share > limits.most_rejected), valid)

@@ -18,7 +18,7 @@ from pipeline.decode.decoder import PhaseMap
 from pipeline.filter.occlusion.kernel_warmup import warm_up_conflicts
 from pipeline.filter.texture_agreement import Scale
 from pipeline.fringe_order.left_right_check import cross_check
-from pipeline.fringe_order.margins.order_margins import Limits
+from pipeline.fringe_order.margins.order_margins import Continued, Limits
 from pipeline.fringe_order.order_propagation import propagate
 from pipeline.match.match_result import Points
 from pipeline.pattern.color_fringe import ColorFringe
@@ -107,8 +107,9 @@ def _search() -> None:
     search.search(phases, phases, made.correction, use_prior=True)
     label, valid = np.ones((HEIGHT, WIDTH), np.uint16), np.ones((HEIGHT, WIDTH), np.uint8)
     sizes, order = np.full(1, label.size, np.int32), np.zeros(label.shape, np.int16)
+    continued = Continued(np.zeros(1, np.int32), np.zeros(1, np.float32))
     limits = Limits(0.1, np.zeros(1))
-    search.reject_ambiguous(phases, phases, made.correction, limits, order, 1, label, sizes, valid)
+    search.reject_ambiguous(phases, phases, made.correction, limits, order, 1, label, sizes, continued, valid)
 
 
 def _check() -> None:

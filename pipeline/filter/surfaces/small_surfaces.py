@@ -44,7 +44,7 @@ def reject_contradicted(
     number = len(f.sizes)
     counts = np.zeros((number, 2), np.int64)
     count_surroundings(
-        number, _boxes_of(f), f.sizes, large, max(RADIUS // stride, 1), f.start, f.stop, f.count, f.first, f.surface,
+        number, boxes_of(f), f.sizes, large, max(RADIUS // stride, 1), f.start, f.stop, f.count, f.first, f.surface,
         before, valid, label, counts,
     )  # fmt: skip
     contradicted, left = counts.T
@@ -75,13 +75,14 @@ def reject_narrow(valid: NDArray[np.uint8], surfaces: Surfaces, smallest: int, s
         surfaces: of ``valid``; smallest: as of :func:`reject_eroded`; stride: as of :func:`reject_contradicted`.
     """
     f = surfaces
-    top, bottom, left, right = _boxes_of(f).T
+    top, bottom, left, right = boxes_of(f).T
     length = np.maximum(bottom - top, right - left) + 1
     rejected = (f.sizes < RELIABLE * smallest) & (stride * f.sizes < LEAST_WIDTH * length)
     reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
 
 
-def _boxes_of(surfaces: Surfaces) -> NDArray[np.int32]:
+def boxes_of(surfaces: Surfaces) -> NDArray[np.int32]:
+    """First and last row, first and last column (n, 4) of each surface."""
     f = surfaces
     box = np.empty((len(f.sizes), 4), np.int32)
     boxes(f.start, f.stop, f.count, f.first, f.surface, box)

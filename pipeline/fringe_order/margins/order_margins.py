@@ -33,6 +33,9 @@ units of that cost: with phases as wrong as theirs all pixels count, and other o
 TEXTURE = 0.9
 """Share of the texture's weight in the margins: with all of it surfaces whose texture is that of the wrong place keep
 their orders."""
+CONTINUED = 0.45
+"""Least mean margin against an order that continues what is beside a small surface, by the share of its border that shows
+it."""
 EVEN = 0.002
 """Difference of costs up to which two orders explain a pixel alike, where the fringes repeat."""
 AMBIGUOUS_SHARE = 0.35
@@ -45,6 +48,17 @@ VAGUE_GAIN, VAGUE_SHARE = 0.01, 0.25
 MOST_REJECTED = 0.5
 """Share of the pixels of all surfaces that may be rejected where the fringes repeat. Where more are, orders that win
 clearly are wrong as well, and groups with which any other order competes get no points."""
+
+
+class Continued(NamedTuple):
+    """Orders by which surfaces would continue what is beside them, (n,) each.
+
+    Args:
+        change: of the order, int32, 0 = none; share: float32, of the places along the border that show it.
+    """
+
+    change: NDArray[np.int32]
+    share: NDArray[np.float32]
 
 
 class Limits(NamedTuple):
@@ -111,7 +125,7 @@ def costs_of_nodes(
 @serial
 def least_margins(
     group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, largest_cost: Any, largest_own: Any,
-    even: Any, unexplained: Any, out: Any,
+    even: Any, unexplained: Any, continued: Any, share: Any, out: Any,
 ) -> None:  # fmt: skip
     """Least margin of each group plus its standard error, (groups,) float32; infinite where no other order competes.
 
@@ -121,6 +135,7 @@ def least_margins(
         least_share: of a group's pixels that must have an order for it to compete.
         largest_cost: its largest mean cost; largest_own: as :attr:`Limits.largest_own`.
         even: as of :class:`Limits`; unexplained: as :data:`UNEXPLAINED`, where ``even`` is not negative.
+        continued, share: (surfaces,) of the first groups, see :data:`CONTINUED`.
     """
     labels = costs.shape[1]
     total, squares = np.zeros((out.shape[0], 2 * labels)), np.zeros((out.shape[0], 2 * labels))
@@ -151,6 +166,8 @@ def least_margins(
                 out[k] = min(out[k], np.float32(0.0))
             mean = total[k, change] / n
             error = np.sqrt(max(squares[k, change] / n - mean * mean, 0.0) / (n - 1))
+            if k < continued.shape[0] and change == labels + continued[k] and mean < CONTINUED * share[k]:
+                out[k] = min(out[k], np.float32(0.0))
             if own_cost[k] > largest_cost and mean + error < unexplained * own_cost[k]:
                 out[k] = min(out[k], np.float32(0.0))
             if level[k, change] <= largest_cost * n:

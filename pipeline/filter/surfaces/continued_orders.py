@@ -1,0 +1,103 @@
+"""Orders that continue what is beside a small surface: phase and brightness go on across its border, the order does not.
+
+At the border of a true surface the wrapped phase changes by any amount. Where it goes on by whole turns along a good part
+of the border, and the brightness goes on too, the surface is a part of what is beside it, and the order of one of both is
+wrong: then the surface must win clearly against the order that continues (see
+:mod:`pipeline.fringe_order.margins.order_margins`). Slots and bars have such borders too, but win by more.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.common.connected_components import Surfaces
+from pipeline.common.jit import inline
+from pipeline.common.parallel_for import parallel
+from pipeline.filter.surfaces.small_surfaces import boxes_of
+from pipeline.fringe_order.margins.order_margins import Continued
+from pipeline.match.match_result import TURN_STEPS, MatchResult
+
+LEAST_SHARE, LEAST_PLACES = 0.25, 12
+"""Share of the places along a border that show the same change of order, and number of such places, from which on it
+counts."""
+_CONTINUES = int(0.5 / (2 * np.pi) * TURN_STEPS)
+"""Deviation from a whole number of turns up to which the phase continues, steps."""
+_ALIKE, _COUNTS = 0.06, 0.5
+"""Difference of two means of one texture, of their sum, and counts of noise."""
+_MOST = 31
+"""Largest change of order that is counted."""
+_INSIDE, _OUTSIDE = 3, 2
+"""Pixels from the outermost one of a surface to the farther one of the two that the phase is extrapolated from, and to
+the one beyond the border that it is compared with; those between see both sides."""
+
+
+def continued_orders(
+    match: MatchResult, mean: NDArray[np.uint8], label: NDArray[np.uint16], surfaces: Surfaces, large: int
+) -> Continued:
+    """The order by which each surface would continue what is beside it.
+
+    Args:
+        match: of the left image; mean: (H, W), counts; label: (H, W), one more than the surface.
+        large: pixels from which a surface is not tested.
+    """
+    f = surfaces
+    found = Continued(np.zeros(len(f.sizes), np.int32), np.zeros(len(f.sizes), np.float32))
+    find_changes(
+        len(f.sizes), boxes_of(f), f.sizes, large, f.start, f.stop, f.count, f.first, f.surface, label,
+        match.absolute_phase, match.valid, mean, *found,
+    )  # fmt: skip
+    return found
+
+
+@inline
+def _alike(a: Any, b: Any) -> bool:
+    first, second = np.float32(a), np.float32(b)
+    return bool(abs(first - second) <= np.float32(_ALIKE) * (first + second) + np.float32(_COUNTS))
+
+
+@inline
+def _change(label: Any, phase: Any, matched: Any, mean: Any, i: int, j: int, down: int, right: int) -> int:
+    """Change of order across the border beside (i, j) in a direction; 0 = does not continue, -_MOST - 1 = no place."""
+    height, width = label.shape
+    own = label[i, j]
+    y, x = i + _OUTSIDE * down, j + _OUTSIDE * right
+    y3, x3 = i - _INSIDE * down, j - _INSIDE * right
+    within = (min(y, y3) >= 0) & (max(y, y3) < height) & (min(x, x3) >= 0) & (max(x, x3) < width)
+    if not within or label[i + down, j + right] == own or label[i - down, j - right] != own or label[y3, x3] != own:
+        return -_MOST - 1
+    near, far = mean[i - down, j - right], mean[y, x]
+    if not matched[y, x] or not _alike(near, far):
+        return 0
+    start = np.int64(phase[i - down, j - right])
+    # Phases are known modulo 16 bits: from two pixels farther inside to this one, and on by one and a half as much.
+    step = np.int64(np.int16(start - phase[y3, x3]))
+    ahead = np.int64(np.int16(np.int64(phase[y, x]) - start - (3 * step) // 2))
+    turns = (ahead + TURN_STEPS // 2) // TURN_STEPS
+    return turns if (abs(ahead - TURN_STEPS * turns) <= _CONTINUES) & (abs(turns) <= _MOST) else 0
+
+
+@parallel
+def find_changes(
+    k: int, box: Any, sizes: Any, large: int, start: Any, stop: Any, count: Any, row: Any, surface: Any, label: Any,
+    phase: Any, matched: Any, mean: Any, change: Any, share: Any,
+) -> None:  # fmt: skip
+    """The change of order of surface ``k``; arguments as of :func:`continued_orders`, the last two, of :class:`Continued`, are written."""
+    if sizes[k] >= large:
+        return
+    places, found = 0, np.zeros(2 * _MOST + 1, np.int32)
+    for i in range(box[k, 0], box[k, 1] + 1):
+        for t in range(count[0, i]):
+            if surface[row[i] + t] != k:
+                continue
+            for j in range(start[i, t], stop[i, t]):
+                for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                    turns = _change(label, phase, matched, mean, i, j, down, right)
+                    if turns >= -_MOST:
+                        places += 1
+                        found[turns + _MOST] += turns != 0
+    best = np.argmax(found)
+    if found[best] >= max(LEAST_PLACES, LEAST_SHARE * places):
+        change[k], share[k] = best - _MOST, np.float32(found[best] / places)
