@@ -1,8 +1,8 @@
-"""Orders that continue what is beside a small surface: phase and brightness go on across its border, the order does not.
+"""Orders by which small surfaces continue what is beside them: there phase and brightness go on, the order does not.
 
-At the border of a true surface the wrapped phase changes by any amount. Where it goes on by whole turns along a good part
-of the border, and the brightness goes on too, the surface is a part of what is beside it, and the order of one of both is
-wrong: then the surface must win clearly against the order that continues (see
+At the border of a true surface the wrapped phase changes by any amount. Where it goes on by whole turns along a good
+part of the border, and the brightness goes on too, the surface is a part of what is beside it, and the order of one of
+both is wrong: the surface must win clearly against the order that continues (see
 :mod:`pipeline.fringe_order.margins.order_margins`). Slots and bars have such borders too, but win by more.
 """
 
@@ -27,8 +27,8 @@ _CONTINUES = int(0.5 / (2 * np.pi) * TURN_STEPS)
 """Deviation from a whole number of turns up to which the phase continues, steps."""
 _ALIKE, _COUNTS = 0.06, 0.5
 """Difference of two means of one texture, of their sum, and counts of noise."""
-_MOST = 31
-"""Largest change of order that is counted."""
+_MOST, _NO_PLACE = 31, -1000
+"""Largest change of order that is counted; value of :func:`_change` where there is nothing to be compared."""
 _INSIDE, _OUTSIDE = 3, 2
 """Pixels from the outermost one of a surface to the farther one of the two that the phase is extrapolated from, and to
 the one beyond the border that it is compared with; those between see both sides."""
@@ -59,23 +59,23 @@ def _alike(a: Any, b: Any) -> bool:
 
 
 @inline
-def _change(label: Any, phase: Any, matched: Any, mean: Any, i: int, j: int, down: int, right: int) -> int:
-    """Change of order across the border beside (i, j) in a direction; 0 = does not continue, -_MOST - 1 = no place."""
+def _change(label: Any, phase: Any, matched: Any, mean: Any, i: int, j: int, down: int, right: int) -> Any:
+    """Change of order across the border beside (i, j) in a direction; 0 = does not continue, _NO_PLACE = unknown."""
     height, width = label.shape
-    own = label[i, j]
     y, x = i + _OUTSIDE * down, j + _OUTSIDE * right
     y3, x3 = i - _INSIDE * down, j - _INSIDE * right
-    within = (min(y, y3) >= 0) & (max(y, y3) < height) & (min(x, x3) >= 0) & (max(x, x3) < width)
-    if not within or label[i + down, j + right] == own or label[i - down, j - right] != own or label[y3, x3] != own:
-        return -_MOST - 1
-    near, far = mean[i - down, j - right], mean[y, x]
-    if not matched[y, x] or not _alike(near, far):
+    if min(y, y3) < 0 or max(y, y3) >= height or min(x, x3) < 0 or max(x, x3) >= width:
+        return _NO_PLACE
+    own = label[i, j]
+    if label[i - down, j - right] != own or label[y3, x3] != own:
+        return _NO_PLACE
+    if not matched[y, x] or not _alike(mean[i - down, j - right], mean[y, x]):
         return 0
     start = np.int64(phase[i - down, j - right])
     # Phases are known modulo 16 bits: from two pixels farther inside to this one, and on by one and a half as much.
     step = np.int64(np.int16(start - phase[y3, x3]))
     ahead = np.int64(np.int16(np.int64(phase[y, x]) - start - (3 * step) // 2))
-    turns = (ahead + TURN_STEPS // 2) // TURN_STEPS
+    turns: Any = (ahead + TURN_STEPS // 2) // TURN_STEPS
     return turns if (abs(ahead - TURN_STEPS * turns) <= _CONTINUES) & (abs(turns) <= _MOST) else 0
 
 
@@ -84,20 +84,26 @@ def find_changes(
     k: int, box: Any, sizes: Any, large: int, start: Any, stop: Any, count: Any, row: Any, surface: Any, label: Any,
     phase: Any, matched: Any, mean: Any, change: Any, share: Any,
 ) -> None:  # fmt: skip
-    """The change of order of surface ``k``; arguments as of :func:`continued_orders`, the last two, of :class:`Continued`, are written."""
+    """Those of surface ``k``; arguments as of :func:`continued_orders`, the last two are written."""
     if sizes[k] >= large:
         return
+    last, own = label.shape[0] - 1, np.uint16(k + 1)
     places, found = 0, np.zeros(2 * _MOST + 1, np.int32)
     for i in range(box[k, 0], box[k, 1] + 1):
+        above, below = label[max(i - 1, 0)], label[min(i + 1, last)]
         for t in range(count[0, i]):
             if surface[row[i] + t] != k:
                 continue
-            for j in range(start[i, t], stop[i, t]):
-                for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                    turns = _change(label, phase, matched, mean, i, j, down, right)
-                    if turns >= -_MOST:
-                        places += 1
-                        found[turns + _MOST] += turns != 0
+            begin, end = start[i, t], stop[i, t]
+            for j in range(begin, end):
+                for down, right, ends in (
+                    (0, -1, j == begin), (0, 1, j == end - 1), (-1, 0, above[j] != own), (1, 0, below[j] != own),
+                ):  # fmt: skip
+                    if ends:
+                        turns = _change(label, phase, matched, mean, i, j, down, right)
+                        if turns != _NO_PLACE:
+                            places += 1
+                            found[turns + _MOST] += turns != 0
     best = np.argmax(found)
     if found[best] >= max(LEAST_PLACES, LEAST_SHARE * places):
         change[k], share[k] = best - _MOST, np.float32(found[best] / places)

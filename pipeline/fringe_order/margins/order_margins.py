@@ -34,8 +34,8 @@ TEXTURE = 0.9
 """Share of the texture's weight in the margins: with all of it surfaces whose texture is that of the wrong place keep
 their orders."""
 CONTINUED = 0.45
-"""Least mean margin against an order that continues what is beside a small surface, by the share of its border that shows
-it."""
+"""Least mean margin against an order that continues what is beside a small surface, in units of the share of its border
+that shows it."""
 EVEN = 0.002
 """Difference of costs up to which two orders explain a pixel alike, where the fringes repeat."""
 AMBIGUOUS_SHARE = 0.35

@@ -15,7 +15,7 @@ from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.fringe_order.left_right_check import UNDECIDED
 from pipeline.fringe_order.margins import order_margins
-from pipeline.fringe_order.margins.order_margins import Limits, least_margins
+from pipeline.fringe_order.margins.order_margins import CONTINUED, Continued, Limits, least_margins
 from pipeline.fringe_order.margins.sampled_groups import CELL, SAMPLES, Groups
 from pipeline.reconstruct.column_correction import (
     CLEARLY_MORE,
@@ -38,6 +38,11 @@ from tests.pipeline.small import images, pair, reconstructor
 BLIND = RigLayout(projector_fraction=0.5).scaled(0.25)
 
 
+def none_of(sizes: NDArray[np.int32]) -> Continued:
+    """Surfaces that continue nothing."""
+    return Continued(np.zeros(len(sizes), np.int32), np.zeros(len(sizes), np.float32))
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([-1.0, 0.0, 0.1, 0.4]), st.sampled_from([0.4, np.inf]))
 def test_the_least_margin_is_that_of_the_best_other_order(seed: int, even: float, largest_own: float) -> None:
@@ -48,19 +53,24 @@ def test_the_least_margin_is_that_of_the_best_other_order(seed: int, even: float
     own = (first + rng.integers(0, count)).astype(np.int16)
     costs = (rng.random((n, labels)) * rng.choice([1.0, 1.6], groups)[group, None]).astype(np.float32)
     out = np.empty(groups, np.float32)
-    least_margins(group, own, first, count, costs, 0.5, 0.55, largest_own, even, 0.8, out)
+    # Of the first three groups, surfaces; the last is a cell.
+    change = rng.integers(-2, 3, groups - 1).astype(np.int32)
+    share = rng.choice([0.0, 1.5], groups - 1).astype(np.float32)
+    least_margins(group, own, first, count, costs, 0.5, 0.55, largest_own, even, 0.8, change, share, out)
     own_cost = [np.mean(costs[group == k, (own - first)[group == k]], dtype=float) for k in range(groups)]
     unexplained = [even >= 0 and cost > 0.55 for cost in own_cost]
     group[(costs[np.arange(n), own - first] > largest_own) & ~np.array(unexplained)[group]] = -1
     for k in range(groups):
         margins = []
-        for change in range(-labels, labels + 1):
-            having = [m for m in np.flatnonzero(group == k) if 0 <= own[m] + change - first[m] < count[m]]
-            if not change or len(having) < max(2, 0.5 * np.count_nonzero(group == k)):
+        for other_order in range(-labels, labels + 1):
+            having = [m for m in np.flatnonzero(group == k) if 0 <= own[m] + other_order - first[m] < count[m]]
+            if not other_order or len(having) < max(2, 0.5 * np.count_nonzero(group == k)):
                 continue
-            other = np.array([costs[m, own[m] + change - first[m]] for m in having], float)
+            other = np.array([costs[m, own[m] + other_order - first[m]] for m in having], float)
             here = other - [costs[m, own[m] - first[m]] for m in having]
             if even >= 0 and np.mean(here <= even) > 0.5:
+                margins.append(0.0)
+            if k < len(change) and other_order == change[k] and np.mean(here) < CONTINUED * share[k]:
                 margins.append(0.0)
             margin = np.mean(here) + np.std(here) / np.sqrt(len(here) - 1)
             if unexplained[k] and margin < 0.8 * own_cost[k]:
@@ -120,7 +130,7 @@ def test_where_most_is_rejected_and_fringes_repeat_orders_with_competitors_give_
     left, right, _ = made.orders(*images(pair("mixed")), Stopwatch(None))
 
     def margins(*arguments: object) -> NDArray[np.float32]:
-        groups = arguments[-1]
+        groups = arguments[-2]
         assert isinstance(groups, Groups)
         _, group = groups.sampled(*(np.arange(n, dtype=np.int32) for n in label.shape))
         found = np.full(len(groups), np.inf, np.float32)
@@ -131,7 +141,8 @@ def test_where_most_is_rejected_and_fringes_repeat_orders_with_competitors_give_
     monkeypatch.setattr(made.searches[0]._fine, "margins", margins)
     valid = (label > 0).astype(np.uint8)
     limits, order = Limits(0.05, np.empty(0), even=even), label.astype(np.int16)
-    made.searches[0].reject_ambiguous(left, right, made.correction, limits, order, 1, label, sizes, valid)
+    none = none_of(sizes)
+    made.searches[0].reject_ambiguous(left, right, made.correction, limits, order, 1, label, sizes, none, valid)
     assert set(label[valid > 0]) == ({1} if strict else {1, ambiguous + 2})
     assert (valid[:CELL, CELL : 2 * CELL] == (0 if strict else 1)).all()
     assert valid[:CELL, :CELL].all()
@@ -160,7 +171,7 @@ def test_all_pixels_of_a_surface_have_other_orders_at_the_same_offset(monkeypatc
 
     def margins(*shifts: float) -> NDArray[np.float32]:
         limits, groups = Limits(0.05, np.array(shifts)), Groups(label, sizes, CELL)
-        return made.searches[0]._fine.margins(left, right, made.correction, limits, order, 1, groups)
+        return made.searches[0]._fine.margins(left, right, made.correction, limits, order, 1, groups, none_of(sizes))
 
     both = margins(0.3, -0.3)
     np.testing.assert_array_equal(both, np.minimum(margins(0.3), margins(-0.3)))
