@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pipeline.common.connected_components import Surfaces
 from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
+from pipeline.decode.decoder import PhaseMap
 from pipeline.filter.border.border_figures import Planes
 from pipeline.filter.border.border_model import MODEL
 from pipeline.filter.border.border_pixels import ROWS as BORDER_ROWS
@@ -84,18 +85,18 @@ class Gates:
         self._unique = Uniqueness(shape, (right, projector))
 
     def certain(
-        self, match: MatchResult, points: Points, modulation: Any, mean: Any, agreement: Agreement, scale: Scale,
+        self, match: MatchResult, points: Points, left: PhaseMap, agreement: Agreement, scale: Scale,
         reject_ambiguous: RejectAmbiguous | None = None,
     ) -> NDArray[np.uint8]:  # fmt: skip
         """1 where a point is certain, else 0, (H, W); valid until the next call.
 
         Args:
             match: of the left image; points: their sigma is raised at the borders of surfaces.
-            modulation, mean: (H, W) uint8, counts.
+            left: of the same pixels.
             agreement: of the textures; scale: of their differences.
             reject_ambiguous: without it, fringe orders are not tested.
         """
-        depth_mm = points.depth_mm(self._stride)
+        depth_mm, modulation, mean = points.depth_mm(self._stride), left.modulation, left.mean
         s, valid, label, surfaces = self._settings, self._valid, self._label, self._surfaces
         bands = blocks(len(valid), ROWS)
         limit, largest = _steps(s.outlier_phase_threshold), _steps(s.reflection_threshold)
@@ -133,7 +134,7 @@ class Gates:
         self._test_components(match, agreement, mean, scale)
         surfaces.paint(label)
         if reject_ambiguous is not None:
-            continued = continued_orders(match, mean, label, surfaces, self._large)
+            continued = continued_orders(match, left, label, surfaces, self._large)
             reject_ambiguous(label, surfaces.sizes, continued, valid)
         planes = Planes(
             label, agreement.deviation, agreement.misfit, match.right_u, match.residual_normalised, match.residual,

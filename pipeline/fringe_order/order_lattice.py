@@ -116,7 +116,8 @@ class OrderLattice:
             least = np.empty(len(groups), np.float32)
             order_margins.least_margins(
                 group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST,
-                limits.largest_own, limits.even, order_margins.UNEXPLAINED, continued.change, continued.share, least,
+                limits.largest_own, limits.even, order_margins.UNEXPLAINED, continued.change, continued.share,
+                continued.unconfirmed, least,
             )  # fmt: skip
             return least
 

@@ -146,7 +146,7 @@ class CloudStage:
             self.match_neighbours(part, right, part_order, scale, inside, correction, points)
         watch.lap("agreement")
         by_orders = None if reject_ambiguous is None else partial(reject_ambiguous, part_order, self._stride)
-        valid = self._gates.certain(match, points, part.modulation, part.mean, self._agreement, scale, by_orders)
+        valid = self._gates.certain(match, points, part, self._agreement, scale, by_orders)
         watch.lap("gates")
         shares = shares_of(
             match, part.variance, points.depth_mm(self._stride), self._depths, slopes=self._slopes,

@@ -36,6 +36,11 @@ their orders."""
 CONTINUED = 0.45
 """Least mean margin against an order that continues what is beside a small surface, in units of the share of its border
 that shows it."""
+UNCONFIRMED = 0.1
+"""Least mean margin of a small surface that nothing beside it confirms, see :attr:`Continued.unconfirmed`."""
+LEAST_UNKNOWN, LEAST_OPEN = 0.3, 0.5
+"""Shares of the places along such a surface's border at which it continues to pixels without an order, and to those or
+to pixels of another one."""
 EVEN = 0.002
 """Difference of costs up to which two orders explain a pixel alike, where the fringes repeat."""
 AMBIGUOUS_SHARE = 0.35
@@ -55,10 +60,19 @@ class Continued(NamedTuple):
 
     Args:
         change: of the order, int32, 0 = none; share: float32, of the places along the border that show it.
+        jumps, unknown: float32, share of the places where phase and brightness continue, but with any other order, and
+            where they continue to pixels without an order.
     """
 
     change: NDArray[np.int32]
     share: NDArray[np.float32]
+    jumps: NDArray[np.float32]
+    unknown: NDArray[np.float32]
+
+    @property
+    def unconfirmed(self) -> NDArray[np.bool_]:
+        """Whether most of what a surface continues to has another order or none, (n,)."""
+        return (self.unknown >= LEAST_UNKNOWN) & (self.unknown + self.jumps >= LEAST_OPEN)
 
 
 class Limits(NamedTuple):
@@ -125,7 +139,7 @@ def costs_of_nodes(
 @serial
 def least_margins(
     group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, largest_cost: Any, largest_own: Any,
-    even: Any, unexplained: Any, continued: Any, share: Any, out: Any,
+    even: Any, unexplained: Any, continued: Any, share: Any, unconfirmed: Any, out: Any,
 ) -> None:  # fmt: skip
     """Least margin of each group plus its standard error, (groups,) float32; infinite where no other order competes.
 
@@ -135,7 +149,7 @@ def least_margins(
         least_share: of a group's pixels that must have an order for it to compete.
         largest_cost: its largest mean cost; largest_own: as :attr:`Limits.largest_own`.
         even: as of :class:`Limits`; unexplained: as :data:`UNEXPLAINED`, where ``even`` is not negative.
-        continued, share: (surfaces,) of the first groups, see :data:`CONTINUED`.
+        continued, share, unconfirmed: (surfaces,) of the first groups, see :class:`Continued`.
     """
     labels = costs.shape[1]
     total, squares = np.zeros((out.shape[0], 2 * labels)), np.zeros((out.shape[0], 2 * labels))
@@ -172,6 +186,8 @@ def least_margins(
                 out[k] = min(out[k], np.float32(0.0))
             if level[k, change] <= largest_cost * n:
                 out[k] = min(out[k], np.float32(mean + error))
+                if k < continued.shape[0] and unconfirmed[k] and mean < UNCONFIRMED:
+                    out[k] = min(out[k], np.float32(0.0))
 
 
 @serial

@@ -11,6 +11,7 @@ import pytest
 from pipeline.common.connected_components import LEFT, UP, Surfaces
 from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
+from pipeline.decode.decoder import PhaseMap
 from pipeline.filter.local_outliers import RADIUS, ROWS, drop_mixed_edges, local_outliers, usual_residuals
 from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.occlusion.uniqueness import Uniqueness
@@ -210,6 +211,11 @@ def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unk
     depth = points.depth_mm(1)
     depth[:] = 800 + 30 * area + 0.1 * j
     modulation = rng.integers(40, 90, shape).astype(np.uint8)
+    blank = np.zeros(shape, np.int32)
+    left = PhaseMap(
+        blank, blank, modulation, np.ones(shape, np.float32), 0.0, rng.uniform(-3, 3, shape).astype(np.float32),
+        modulation, np.ones(shape, bool), modulation,
+    )  # fmt: skip
     gates = Gates(
         shape, right, projector, (24 * 2 * np.pi / TURN_STEPS, 0.0), DepthScale(1 / 900, 1 / 700 - 1 / 900), 0.1,
         Settings(), smallest=50,
@@ -227,7 +233,7 @@ def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unk
                     plane[valid == 0] = rng.choice(np.array(filling).astype(plane.dtype), int((valid == 0).sum()))
                 agreement = Agreement(deviation.copy(), np.zeros(shape, np.uint8))
                 points.sigma_mm[:] = 0.02
-                results.append(gates.certain(match, points, modulation, modulation, agreement, scale).copy())
+                results.append(gates.certain(match, points, left, agreement, scale).copy())
     finally:
         numba.set_num_threads(most)
     assert all((r == results[0]).all() for r in results)

@@ -15,7 +15,15 @@ from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.fringe_order.left_right_check import UNDECIDED
 from pipeline.fringe_order.margins import order_margins
-from pipeline.fringe_order.margins.order_margins import CONTINUED, Continued, Limits, least_margins
+from pipeline.fringe_order.margins.order_margins import (
+    CONTINUED,
+    LEAST_OPEN,
+    LEAST_UNKNOWN,
+    UNCONFIRMED,
+    Continued,
+    Limits,
+    least_margins,
+)
 from pipeline.fringe_order.margins.sampled_groups import CELL, SAMPLES, Groups
 from pipeline.reconstruct.column_correction import (
     CLEARLY_MORE,
@@ -40,7 +48,7 @@ BLIND = RigLayout(projector_fraction=0.5).scaled(0.25)
 
 def none_of(sizes: NDArray[np.int32]) -> Continued:
     """Surfaces that continue nothing."""
-    return Continued(np.zeros(len(sizes), np.int32), np.zeros(len(sizes), np.float32))
+    return Continued(np.zeros(len(sizes), np.int32), *np.zeros((3, len(sizes)), np.float32))
 
 
 @settings(max_examples=30, deadline=None)
@@ -56,7 +64,9 @@ def test_the_least_margin_is_that_of_the_best_other_order(seed: int, even: float
     # Of the first three groups, surfaces; the last is a cell.
     change = rng.integers(-2, 3, groups - 1).astype(np.int32)
     share = rng.choice([0.0, 1.5], groups - 1).astype(np.float32)
-    least_margins(group, own, first, count, costs, 0.5, 0.55, largest_own, even, 0.8, change, share, out)
+    unconfirmed = rng.random(groups - 1) < 0.5
+    surfaces = change, share, unconfirmed
+    least_margins(group, own, first, count, costs, 0.5, 0.55, largest_own, even, 0.8, *surfaces, out)
     own_cost = [np.mean(costs[group == k, (own - first)[group == k]], dtype=float) for k in range(groups)]
     unexplained = [even >= 0 and cost > 0.55 for cost in own_cost]
     group[(costs[np.arange(n), own - first] > largest_own) & ~np.array(unexplained)[group]] = -1
@@ -77,7 +87,16 @@ def test_the_least_margin_is_that_of_the_best_other_order(seed: int, even: float
                 margins.append(0.0)
             if other.mean() <= 0.55:
                 margins.append(margin)
+                if k < len(change) and unconfirmed[k] and np.mean(here) < UNCONFIRMED:
+                    margins.append(0.0)
         assert out[k] == pytest.approx(min(margins, default=np.inf), abs=1e-5)
+
+
+def test_what_continues_to_pixels_without_an_order_is_unconfirmed() -> None:
+    unknown = np.array([0.0, LEAST_UNKNOWN - 0.01, LEAST_UNKNOWN, LEAST_UNKNOWN, LEAST_OPEN, 1.0], np.float32)
+    jumps = np.array([1.0, 0.7, 0.0, LEAST_OPEN - LEAST_UNKNOWN + 0.01, 0.0, 0.0], np.float32)
+    found = Continued(np.zeros(6, np.int32), jumps, jumps, unknown)
+    assert found.unconfirmed.tolist() == [False, False, False, True, True, True]
 
 
 def test_large_surfaces_are_sampled_and_rejected_in_cells() -> None:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from pipeline.common.connected_components import LEFT, UP, Surfaces
+from pipeline.decode.decoder import PhaseMap
 from pipeline.filter.surfaces.continued_orders import LEAST_PLACES, LEAST_SHARE, continued_orders
 from pipeline.fringe_order.margins.order_margins import Continued
 from pipeline.match.match_result import TURN_STEPS, MatchResult
@@ -25,22 +26,30 @@ def found(
     brightness: int = 100,
     large: int = 2000,
     unknown: NDArray[np.bool_] | None = None,
+    without_order: NDArray[np.bool_] | None = None,
     across: float = 3.0,
     transposed: bool = False,
 ) -> Continued:
     """Of a wall and a patch of it, whose absolute phase is so many turns behind, and which is so bright; the wall 100.
 
     Args:
-        unknown: pixels without a match; across: change of the phase from row to row, steps.
+        unknown: pixels without a phase; without_order: those with one, but without a match.
+        across: change of the phase from row to row, steps.
     """
     y, x = np.indices(SHAPE)
     patch = np.zeros(SHAPE, bool)
     patch[PATCH] = True
     phase = np.rint(9000 + STEP * x + across * y - np.where(patch, turns * TURN_STEPS, 0)).astype(np.int16)
-    matched = np.ones(SHAPE, np.uint8) if unknown is None else (~unknown).astype(np.uint8)
+    nothing = np.zeros(SHAPE, bool)
+    known = ~(nothing if unknown is None else unknown)
+    matched = (known & ~(nothing if without_order is None else without_order)).astype(np.uint8)
+    wrapped = np.angle(np.exp(1j * phase * 2 * np.pi / TURN_STEPS)).astype(np.float32)
     mean = np.where(patch, brightness, 100).astype(np.uint8)
-    planes = patch, phase, matched, mean
-    patch, phase, matched, mean = (np.ascontiguousarray(p.T) for p in planes) if transposed else planes
+    planes = patch, phase, matched, mean, wrapped, known
+    every = (np.ascontiguousarray(p.T) for p in planes) if transposed else planes
+    patch, phase, matched, mean, wrapped, known = every
+    blank = np.zeros(patch.shape, np.int32)
+    left = PhaseMap(blank, blank, mean, wrapped, 0.0, wrapped, mean, known, mean)
     match = MatchResult.empty(patch.shape)
     match.absolute_phase[:], match.valid[:] = phase, matched
     link = np.full(patch.shape, LEFT | UP, np.uint8)
@@ -49,15 +58,16 @@ def found(
     surfaces, label = Surfaces(patch.shape), np.empty(patch.shape, np.uint16)
     surfaces.find(matched, link, 30)
     surfaces.paint(label)
-    continued = continued_orders(match, mean, label, surfaces, large)
+    continued = continued_orders(match, left, label, surfaces, large)
     own = np.unique(label[patch & (matched > 0)]).astype(int) - 1
     others = np.setdiff1d(np.arange(len(surfaces.sizes)), own)
-    assert unknown is not None or not continued.change[others].any()  # the wall is large
-    return Continued(continued.change[own], continued.share[own])
+    assert not (known & (matched > 0)).all() or not continued.change[others].any()  # the wall is large
+    return Continued(*(values[own] for values in continued))
 
 
 def of_patch(continued: Continued) -> tuple[int, float]:
-    ((change,), (share,)) = (values.tolist() for values in continued)
+    (change,), (share,), (jumps,), (unknown,) = (values.tolist() for values in continued)
+    assert share <= jumps <= 1 - unknown
     return change, share
 
 
@@ -107,3 +117,15 @@ def test_a_small_share_is_an_accident(left: int, right: int, change: int) -> Non
     assert of_patch(found(3, unknown=~known))[0] == change
     height, width = (part.stop - part.start for part in PATCH)
     assert (left + right >= max(LEAST_SHARE * 2 * (height + width), LEAST_PLACES)) == (change != 0)
+
+
+@pytest.mark.parametrize(("off", "brightness", "unknown"), [(0.0, 100, 0.3), (0.2, 100, 0.0), (0.0, 130, 0.0)])
+def test_pixels_without_an_order_are_counted_where_phase_and_brightness_continue(
+    off: float, brightness: int, unknown: float
+) -> None:
+    """Above the patch there are phases, but no orders."""
+    above = without(np.s_[:20, :])
+    continued = found(3 + off, brightness=brightness, without_order=above)
+    of_patch(continued)
+    assert continued.unknown == pytest.approx(unknown, abs=0.02)
+    assert not found(3 + off, brightness=brightness, unknown=above).unknown.any()
