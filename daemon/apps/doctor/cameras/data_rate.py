@@ -5,6 +5,7 @@ from __future__ import annotations
 from daemon.apps.doctor.subject import Size, Subject
 from drivers.genicam.options import Options as GenicamOptions
 from drivers.protocols import SIDES, Side
+from drivers.v4l2 import formats
 from drivers.v4l2.options import Options as V4l2Options
 from pipeline.common.errors import PipelineError
 
@@ -36,16 +37,28 @@ def image_size(subject: Subject, side: Side) -> Size | None:
 
 def pixel_bytes(subject: Subject, side: Side) -> float:
     """Bytes per pixel on the transport; 1, as of Bayer images, if the format is unknown."""
-    options = subject.cameras.get(side)
-    name: str | None = subject.simulation.encoding if subject.simulation is not None else None
-    if options is not None:
-        name = options.pixel_format if isinstance(options, GenicamOptions) else options.format
-    name = (name or "").lower()
+    name = _format_name(subject, side)
     if name.endswith(("10p", "12p", "10packed", "12packed")):
         return 1.5
     if name.endswith(("10", "12", "14", "16")):
         return 2.0
     return next((count for start, count in _BYTES.items() if name.startswith(start)), 1.0)
+
+
+def is_mosaic(subject: Subject, side: Side) -> bool:
+    """Whether the files say that a camera's images are colour mosaics."""
+    name = _format_name(subject, side)
+    v4l2 = formats.named(name) if isinstance(subject.cameras.get(side), V4l2Options) else None
+    return (name if v4l2 is None else v4l2.encoding).startswith("bayer")
+
+
+def _format_name(subject: Subject, side: Side) -> str:
+    """The pixel format in the files, in small letters, empty if they name none."""
+    options = subject.cameras.get(side)
+    name: str | None = subject.simulation.encoding if subject.simulation is not None else None
+    if options is not None:
+        name = options.pixel_format if isinstance(options, GenicamOptions) else options.format
+    return (name or "").lower()
 
 
 def frame_bytes(subject: Subject) -> list[int]:

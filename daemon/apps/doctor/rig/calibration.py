@@ -25,6 +25,7 @@ from pipeline.common.errors import PipelineError
 from pipeline.monitor.hidden_turn import hidden_turn
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
+from pipeline.pattern.fringe_width import width_warnings
 from pipeline.pattern.order_check import order_check
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
@@ -175,7 +176,7 @@ def volume(subject: Subject, config: RigConfig, calibration: Calibration) -> Ite
 
 
 def layout(subject: Subject, config: RigConfig, calibration: Calibration) -> Iterator[Finding]:
-    """Check whether the layout allows to distinguish fringe orders, and to notice a turned camera."""
+    """Check whether layout and fringes allow to distinguish orders, and to notice a turned camera."""
     space, fringe = volume_of(subject, config), pattern_of(subject, config)
     if space is None or fringe is None:
         return
@@ -184,6 +185,9 @@ def layout(subject: Subject, config: RigConfig, calibration: Calibration) -> Ite
         yield area.ok("layout", result.recommendation)
     else:
         yield area.warning("layout", *_split(result.recommendation))
+    mosaic = any(data_rate.is_mosaic(subject, side) for side in SIDES)
+    for warning in width_warnings(calibration, fringe, mosaic=mosaic):
+        yield area.warning("fringes", *_split(warning))
     turn = None if fringe.profile is not None else hidden_turn(calibration, fringe, space)
     if turn is not None and turn.hidden:
         yield area.warning(

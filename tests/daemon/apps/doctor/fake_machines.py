@@ -59,6 +59,12 @@ def genicam(left: str = "{serial: A1}", right: str = "{serial: A2}", more: str =
     )
 
 
+def v4l2(pixel_format: str) -> str:
+    """The same of V4L2 cameras."""
+    side = f"{{device: /dev/video%d, size: [128, 102], format: {pixel_format}}}"
+    return genicam(side % 0, side % 1).replace("driver: genicam", "driver: v4l2")
+
+
 def by_name(findings: Any, name: str) -> list[Finding]:
     """The findings of a name."""
     return [finding for finding in findings if finding.name == name]

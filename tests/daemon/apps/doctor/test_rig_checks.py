@@ -222,6 +222,27 @@ def test_a_narrow_field_that_hides_a_turn_of_the_right_camera_is_reported(tmp_pa
     assert finding.level == "warning" and "right camera turns by 0." in finding.text, finding
 
 
+@pytest.mark.parametrize(
+    ("rig", "mosaic"),
+    [
+        (fake_machines.genicam(right="{serial: A2, pixel_format: BayerRG8}"), True),
+        (fake_machines.genicam(left="{serial: A1, pixel_format: RGB8}"), False),
+        (fake_machines.genicam(), False),
+        (fake_machines.v4l2("rggb"), True),
+        (fake_machines.v4l2("RGB3"), False),
+    ],
+)
+def test_fringes_that_are_too_narrow_for_a_mosaic_are_reported(tmp_path: Path, rig: str, mosaic: bool) -> None:
+    fake_machines.write_rig_files(tmp_path)
+    pattern = tmp_path / "pattern.json"
+    settings = json.loads(pattern.read_text())
+    assert not by_name(calibration.check(fake_machines.subject(tmp_path, rig=rig)), "fringes")
+    pattern.write_text(json.dumps(settings | {"periods": 2 * settings["periods"]}))
+    found = by_name(calibration.check(fake_machines.subject(tmp_path, rig=rig)), "fringes")
+    assert levels(found) == ["warning"] * mosaic
+    assert all("too narrow for a colour mosaic" in one.text and "show at most" in one.remedy for one in found)
+
+
 def test_the_age_of_a_calibration(tmp_path: Path) -> None:
     fake_machines.write_rig_files(tmp_path)
     file = read_calibration(tmp_path / "calibration.yaml")
