@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from pipeline.common.jit import inline, serial
 from pipeline.common.parallel_for import blocks, parallel
+from pipeline.filter.blurred_steps import steps_of_row
 
 F32 = NDArray[np.float32]
 
@@ -118,7 +119,9 @@ def _bends_of_row(depth: Any, k: int, half_order: Any, sigma: Any, rows: Any, ou
 
 
 @parallel
-def _bends(block: int, stride: int, per_order: Any, xyz: Any, sigma: Any, bends: Any) -> None:
+def _bends(
+    block: int, stride: int, per_order: Any, least_x: Any, least_y: Any, xyz: Any, sigma: Any, bends: Any, on_step: Any
+) -> None:  # fmt: skip
     """Variance that the bends of :data:`ROWS` rows of measured pixels add; arguments as of :func:`widen_at_bends`."""
     height, width = bends.shape[0] - 2 * SPREAD, bends.shape[1] - 2 * SPREAD
     half_order = np.float32(0.5) * per_order
@@ -136,6 +139,7 @@ def _bends(block: int, stride: int, per_order: Any, xyz: Any, sigma: Any, bends:
     rows, sparse = np.empty((2, width), np.float32), np.empty(width, np.float32)
     for a in range(top, bottom):
         k, out = a - top + _REACH, bends[a + SPREAD, SPREAD : SPREAD + width]
+        steps_of_row(depth, k, _REACH, least_x, least_y, on_step[a])
         if stride == 1:
             _bends_of_row(depth, k, half_order, sigma[a], rows, out)
         else:
@@ -176,14 +180,19 @@ def bends_of(shape: tuple[int, int]) -> F32:
     return np.zeros((shape[0] + 2 * SPREAD, shape[1] + 2 * SPREAD), np.float32)
 
 
-def widen_at_bends(stride: int, per_order: np.float32, xyz: F32, sigma: F32, bends: F32) -> None:
-    """Raise the standard deviation of points at sharp bends.
+def widen_at_bends(
+    stride: int, per_order: np.float32, least_steps: tuple[np.float32, np.float32], xyz: F32, sigma: F32, bends: F32,
+    on_step: NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Raise the standard deviation of points at sharp bends, and find those on blurred steps.
 
     Args:
         stride: of the measured pixels; per_order: change of 1 / z from one fringe order to the next, 1 / mm.
         xyz: (H, W, 3), sigma: (H, W), mm, NaN where unknown; the second is changed.
         bends: of :func:`bends_of`, written but for its border.
+        least_steps: along rows and columns, of :func:`pipeline.filter.blurred_steps.least_step`.
+        on_step: (h, w) of the measured pixels, written: 1 where a point is on a blurred step.
     """
     height = len(bends) - 2 * SPREAD
-    _bends(blocks(height, ROWS), stride, per_order, xyz, sigma, bends)
+    _bends(blocks(height, ROWS), stride, per_order, *least_steps, xyz, sigma, bends, on_step)
     _widen(blocks(height, ROWS), stride, bends, sigma)

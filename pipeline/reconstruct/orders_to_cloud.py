@@ -14,6 +14,7 @@ from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.packed_phasor import PHASOR_SCALE
+from pipeline.filter.blurred_steps import least_step, reject_steps
 from pipeline.filter.depth_bends import bends_of, widen_at_bends
 from pipeline.filter.mask_rejected import mask_rejected
 from pipeline.filter.point_filter import Gates, phase_weight
@@ -72,6 +73,9 @@ class CloudStage:
             phase_weight=phase_weight(baselines(calibration), linear=left.linear), stride=stride,
         )  # fmt: skip
         self._agreement, self._bends = Agreement.empty(shape), bends_of(shape)
+        self._on_step = np.zeros(shape, np.uint8)
+        focal = calibration.left.matrix[0, 0], calibration.left.matrix[1, 1]
+        self._least_steps = least_step(focal[0], stride), least_step(focal[1], stride)
         self._slope = np.float32(self._slopes[0])
 
     def match(
@@ -159,7 +163,11 @@ class CloudStage:
         kept = np.empty(self._size, np.int16)
         # Only now: surfaces beyond the volume compete for the pixels of the right camera with false ones inside it.
         mask_rejected(len(kept), valid, part_order, self._stride, *self._depths, points.xyz, points.sigma_mm, kept)
-        widen_at_bends(self._stride, self._gates.per_order, points.xyz, points.sigma_mm, self._bends)
+        widen_at_bends(
+            self._stride, self._gates.per_order, self._least_steps, points.xyz, points.sigma_mm, self._bends,
+            self._on_step,
+        )  # fmt: skip
+        reject_steps(len(self._on_step), self._on_step, self._stride, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(
             xyz=points.xyz,
             sigma_mm=points.sigma_mm,

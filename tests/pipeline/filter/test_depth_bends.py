@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.filter.blurred_steps import least_step
 from pipeline.filter.depth_bends import CLEAR, FAR, NOISE, ROWS, SHARE, SPREAD, bends_of, widen_at_bends
 
 SHAPE, SIGMA = (3 * ROWS + 5, 90), 0.03
 PER_ORDER = np.float32(30.0 / 900.0**2)
 """Fringe orders 30 mm apart at 900 mm."""
+FOCAL_PX = 2250.0
 
 
 def _cloud(depth: Any, sigma: float = SIGMA) -> tuple[Any, Any]:
@@ -23,7 +25,9 @@ def _cloud(depth: Any, sigma: float = SIGMA) -> tuple[Any, Any]:
 def _widened(depth: Any, stride: int = 1, sigma: float = SIGMA) -> Any:
     xyz, sigmas = _cloud(depth, sigma)
     before = xyz.copy()
-    widen_at_bends(stride, PER_ORDER, xyz, sigmas, bends_of(depth[::stride, ::stride].shape))
+    shape = depth[::stride, ::stride].shape
+    least = least_step(FOCAL_PX, stride)
+    widen_at_bends(stride, PER_ORDER, (least, least), xyz, sigmas, bends_of(shape), np.empty(shape, np.uint8))
     np.testing.assert_array_equal(xyz, before)
     return sigmas
 

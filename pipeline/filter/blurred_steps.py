@@ -1,0 +1,83 @@
+"""Points on a step between two surfaces that windows and lens have blurred.
+
+Where a step is less than a quarter of a fringe order, the windows of the phase see both sides as one surface and make
+a slope of a few pixels of it. The points on it lie on neither surface. They are known by their neighbours: along a row
+or a column the depth passes from one level to another, steeply and in one direction, and on both sides it is flat, 3 to
+4 or 5 to 6 pixels away. Filters of laser scanners remove such points as mixed pixels.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
+
+STEEP = 4.0
+"""Tangent of the slope from which a point may lie on a step."""
+FLAT = 8.0
+"""How many times as steep as the surfaces on both sides the slope is."""
+BETWEEN = np.float32(0.2)
+"""Share of the depth's change from the neighbour before to the one after that is on either side of the point."""
+_NAN, _ZERO = np.float32(np.nan), np.float32(0.0)
+_FLAT = np.float32(2 * FLAT)
+_YES = np.uint8(1)
+
+
+def least_step(focal_px: float, stride: int) -> np.float32:
+    """Change of the depth from the neighbour before to the one after from which both are on a step, by depth."""
+    return np.float32(2 * STEEP * stride / focal_px)
+
+
+@serial
+def _along(z: Any, before: Any, after: Any, sides: Any, least: Any, out: Any) -> None:
+    """Set ``out`` (W,) where the depth passes a step at a point; NaN passes none.
+
+    Args:
+        z: (W,) depth; before, after: of the neighbours; least: of :func:`least_step`.
+        sides: depths of the pairs before, then after, eight rows (W,).
+    """
+    a, b, c, d, e, f, g, h = sides
+    for j in range(out.shape[0]):
+        first, second, across = z[j] - before[j], after[j] - z[j], abs(after[j] - before[j])
+        flat = (_FLAT * abs(b[j] - a[j]) < across) | (_FLAT * abs(d[j] - c[j]) < across)
+        flat &= (_FLAT * abs(f[j] - e[j]) < across) | (_FLAT * abs(h[j] - g[j]) < across)
+        between = (first * second > _ZERO) & (min(abs(first), abs(second)) > BETWEEN * across)
+        out[j] |= np.uint8(flat & between & (across > least * z[j]))
+
+
+@serial
+def steps_of_row(depth: Any, k: int, border: int, least_x: Any, least_y: Any, out: Any) -> None:
+    """1 where a point of row k of ``depth``, which has a border of unknown points, is on a step, else 0, (W,)."""
+    n, end = border, border + out.shape[0]
+    row, z = depth[k], depth[k, n:end]
+    out[:] = 0
+    sides = (row[n - 3 : end - 3], row[n - 4 : end - 4], row[n - 5 : end - 5], row[n - 6 : end - 6],
+             row[n + 3 : end + 3], row[n + 4 : end + 4], row[n + 5 : end + 5], row[n + 6 : end + 6])  # fmt: skip
+    _along(z, row[n - 1 : end - 1], row[n + 1 : end + 1], sides, least_x, out)
+    sides = (depth[k - 3, n:end], depth[k - 4, n:end], depth[k - 5, n:end], depth[k - 6, n:end],
+             depth[k + 3, n:end], depth[k + 4, n:end], depth[k + 5, n:end], depth[k + 6, n:end])  # fmt: skip
+    _along(z, depth[k - 1, n:end], depth[k + 1, n:end], sides, least_y, out)
+
+
+@parallel
+def reject_steps(a: int, on_step: Any, stride: int, xyz: Any, sigma: Any, order: Any) -> None:
+    """Set the points on steps to unknown.
+
+    Args:
+        a: a row of ``on_step`` (h, w) uint8, of which pixel (a, b) is the cloud's (stride a, stride b).
+        xyz: (H, W, 3), sigma: (H, W), float32, order: (H, W) int16, changed.
+    """
+    some = np.uint8(0)
+    for b in range(on_step.shape[1]):
+        some |= on_step[a, b]
+    if some == 0:
+        return
+    i = stride * a
+    for b in range(on_step.shape[1]):
+        if on_step[a, b] == _YES:
+            j = stride * b
+            xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
+            order[i, j] = np.int16(-1)
