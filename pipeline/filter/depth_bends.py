@@ -139,7 +139,7 @@ def _bends(
     rows, sparse = np.empty((2, width), np.float32), np.empty(width, np.float32)
     for a in range(top, bottom):
         k, out = a - top + _REACH, bends[a + SPREAD, SPREAD : SPREAD + width]
-        steps_of_row(depth, k, _REACH, least_x, least_y, on_step[a])
+        steps_of_row(depth, k, _REACH, least_x, least_y, half_order, on_step[a])
         if stride == 1:
             _bends_of_row(depth, k, half_order, sigma[a], rows, out)
         else:

@@ -46,7 +46,7 @@ def pixel_bytes(subject: Subject, side: Side) -> float:
 
 
 def is_mosaic(subject: Subject, side: Side) -> bool:
-    """Whether the files say that a camera's images are colour mosaics."""
+    """Whether a camera's images are colour mosaics according to the files."""
     name = _format_name(subject, side)
     v4l2 = formats.named(name) if isinstance(subject.cameras.get(side), V4l2Options) else None
     return (name if v4l2 is None else v4l2.encoding).startswith("bayer")
