@@ -107,9 +107,8 @@ def _search() -> None:
     search.search(phases, phases, made.correction, use_prior=True)
     label, valid = np.ones((HEIGHT, WIDTH), np.uint16), np.ones((HEIGHT, WIDTH), np.uint8)
     sizes, order = np.full(1, label.size, np.int32), np.zeros(label.shape, np.int16)
-    continued = Continued(np.zeros(1, np.int32), *np.zeros((3, 1), np.float32))
     limits = Limits(0.1, np.zeros(1))
-    search.reject_ambiguous(phases, phases, made.correction, limits, order, 1, label, sizes, continued, valid)
+    search.reject_ambiguous(phases, phases, made.correction, limits, order, 1, label, sizes, Continued.none(1), valid)
 
 
 def _check() -> None:

@@ -49,7 +49,7 @@ def continued_orders(
     """
     f = surfaces
     n = len(f.sizes)
-    found = Continued(np.zeros(n, np.int32), *(np.zeros(n, np.float32) for _ in range(3)))
+    found = Continued.none(n)
     find_changes(
         n, boxes_of(f), f.sizes, large, f.start, f.stop, f.count, f.first, f.surface, label,
         match.absolute_phase, match.valid, left.phase, left.valid, left.mean, *found,

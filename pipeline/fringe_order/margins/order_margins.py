@@ -69,6 +69,11 @@ class Continued(NamedTuple):
     jumps: NDArray[np.float32]
     unknown: NDArray[np.float32]
 
+    @staticmethod
+    def none(surfaces: int) -> Continued:
+        """Of so many surfaces that continue nothing, in arrays of their own."""
+        return Continued(np.zeros(surfaces, np.int32), *(np.zeros(surfaces, np.float32) for _ in range(3)))
+
     @property
     def unconfirmed(self) -> NDArray[np.bool_]:
         """Whether most of what a surface continues to has another order or none, (n,)."""

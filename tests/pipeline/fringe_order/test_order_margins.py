@@ -46,11 +46,6 @@ from tests.pipeline.small import images, pair, reconstructor
 BLIND = RigLayout(projector_fraction=0.5).scaled(0.25)
 
 
-def none_of(sizes: NDArray[np.int32]) -> Continued:
-    """Surfaces that continue nothing."""
-    return Continued(np.zeros(len(sizes), np.int32), *np.zeros((3, len(sizes)), np.float32))
-
-
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([-1.0, 0.0, 0.1, 0.4]), st.sampled_from([0.4, np.inf]))
 def test_the_least_margin_is_that_of_the_best_other_order(seed: int, even: float, largest_own: float) -> None:
@@ -160,7 +155,7 @@ def test_where_most_is_rejected_and_fringes_repeat_orders_with_competitors_give_
     monkeypatch.setattr(made.searches[0]._fine, "margins", margins)
     valid = (label > 0).astype(np.uint8)
     limits, order = Limits(0.05, np.empty(0), even=even), label.astype(np.int16)
-    none = none_of(sizes)
+    none = Continued.none(len(sizes))
     made.searches[0].reject_ambiguous(left, right, made.correction, limits, order, 1, label, sizes, none, valid)
     assert set(label[valid > 0]) == ({1} if strict else {1, ambiguous + 2})
     assert (valid[:CELL, CELL : 2 * CELL] == (0 if strict else 1)).all()
@@ -190,7 +185,9 @@ def test_all_pixels_of_a_surface_have_other_orders_at_the_same_offset(monkeypatc
 
     def margins(*shifts: float) -> NDArray[np.float32]:
         limits, groups = Limits(0.05, np.array(shifts)), Groups(label, sizes, CELL)
-        return made.searches[0]._fine.margins(left, right, made.correction, limits, order, 1, groups, none_of(sizes))
+        return made.searches[0]._fine.margins(
+            left, right, made.correction, limits, order, 1, groups, Continued.none(len(sizes))
+        )
 
     both = margins(0.3, -0.3)
     np.testing.assert_array_equal(both, np.minimum(margins(0.3), margins(-0.3)))
