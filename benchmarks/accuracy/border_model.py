@@ -54,10 +54,11 @@ def samples(case: Case, seed: int) -> tuple[Floats, Floats]:
 
     pair = rendered.stored_pair(case, seed)
     reconstructor = case.reconstructor()
-    # Bends come after the border test, and are not part of its errors.
+    # Bends, and the tests by depth, come after the border test, and are not part of its errors.
     with (
         mock.patch.object(point_filter, "border_test", collect),
         mock.patch.object(orders_to_cloud, "widen_at_bends", lambda *_: None),
+        mock.patch.object(orders_to_cloud, "reject_marked", lambda *_: None),
     ):
         cloud = reconstructor.reconstruct(pair.left, pair.right)
     truth = pair.truth_left

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
 
 STEEP = 4.0
 """Tangent of the slope from which a point may lie on a step."""
@@ -21,9 +20,8 @@ FLAT = 8.0
 """How many times as steep as the surfaces on both sides the slope is."""
 BETWEEN = np.float32(0.2)
 """Share of the depth's change from the neighbour before to the one after that is on either side of the point."""
-_NAN, _ZERO = np.float32(np.nan), np.float32(0.0)
+_ZERO = np.float32(0.0)
 _FLAT = np.float32(2 * FLAT)
-_YES = np.uint8(1)
 
 
 def least_step(focal_px: float, stride: int) -> np.float32:
@@ -58,24 +56,3 @@ def steps_of_row(depth: Any, k: int, border: int, least_x: Any, least_y: Any, ha
     _along(z, row[n - 1 : end - 1], row[n + 1 : end + 1], sides, least_x, half_order, out)
     sides = depth[k - 3, n:end], depth[k - 4, n:end], depth[k + 3, n:end], depth[k + 4, n:end]
     _along(z, depth[k - 1, n:end], depth[k + 1, n:end], sides, least_y, half_order, out)
-
-
-@parallel
-def reject_steps(a: int, on_step: Any, stride: int, xyz: Any, sigma: Any, order: Any) -> None:
-    """Set the points on steps to unknown.
-
-    Args:
-        a: a row of ``on_step`` (h, w) uint8, of which pixel (a, b) is the cloud's (stride a, stride b).
-        xyz: (H, W, 3), sigma: (H, W), float32, order: (H, W) int16, changed.
-    """
-    some = np.uint8(0)
-    for b in range(on_step.shape[1]):
-        some |= on_step[a, b]
-    if some == 0:
-        return
-    i = stride * a
-    for b in range(on_step.shape[1]):
-        if on_step[a, b] == _YES:
-            j = stride * b
-            xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
-            order[i, j] = np.int16(-1)

@@ -17,7 +17,7 @@ slope and the errors are largest between them, so a bend counts for the points w
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from pipeline.common.jit import inline, serial
 from pipeline.common.parallel_for import blocks, parallel
 from pipeline.filter.blurred_steps import steps_of_row
+from pipeline.filter.depth_clusters import link_row
 
 F32 = NDArray[np.float32]
 
@@ -43,6 +44,18 @@ CLEAR = np.float32(9.0)
 have less, and would spread over nine points each."""
 _REACH = 2 * FAR
 _NAN, _ZERO, _TWO = np.float32(np.nan), np.float32(0.0), np.float32(2.0)
+
+
+class DepthSteps(NamedTuple):
+    """Steps of the depth along rows and columns, by depth.
+
+    Args:
+        least: of :func:`pipeline.filter.blurred_steps.least_step`.
+        most: of :func:`pipeline.filter.depth_clusters.largest_step`.
+    """
+
+    least: tuple[np.float32, np.float32]
+    most: tuple[np.float32, np.float32]
 
 
 @inline
@@ -120,7 +133,8 @@ def _bends_of_row(depth: Any, k: int, half_order: Any, sigma: Any, rows: Any, ou
 
 @parallel
 def _bends(
-    block: int, stride: int, per_order: Any, least_x: Any, least_y: Any, xyz: Any, sigma: Any, bends: Any, on_step: Any
+    block: int, stride: int, per_order: Any, least: Any, most: Any, xyz: Any, sigma: Any, bends: Any, on_step: Any,
+    known: Any, link: Any,
 ) -> None:  # fmt: skip
     """Variance that the bends of :data:`ROWS` rows of measured pixels add; arguments as of :func:`widen_at_bends`."""
     height, width = bends.shape[0] - 2 * SPREAD, bends.shape[1] - 2 * SPREAD
@@ -139,7 +153,8 @@ def _bends(
     rows, sparse = np.empty((2, width), np.float32), np.empty(width, np.float32)
     for a in range(top, bottom):
         k, out = a - top + _REACH, bends[a + SPREAD, SPREAD : SPREAD + width]
-        steps_of_row(depth, k, _REACH, least_x, least_y, half_order, on_step[a])
+        steps_of_row(depth, k, _REACH, least[0], least[1], half_order, on_step[a])
+        link_row(depth, k, _REACH, most[0], most[1], on_step[a], known[a], link[a])
         if stride == 1:
             _bends_of_row(depth, k, half_order, sigma[a], rows, out)
         else:
@@ -181,18 +196,18 @@ def bends_of(shape: tuple[int, int]) -> F32:
 
 
 def widen_at_bends(
-    stride: int, per_order: np.float32, least_steps: tuple[np.float32, np.float32], xyz: F32, sigma: F32, bends: F32,
-    on_step: NDArray[np.uint8],
+    stride: int, per_order: np.float32, steps: DepthSteps, xyz: F32, sigma: F32, bends: F32,
+    on_step: NDArray[np.uint8], known: NDArray[np.uint8], link: NDArray[np.uint8],
 ) -> None:  # fmt: skip
-    """Raise the standard deviation of points at sharp bends, and find those on blurred steps.
+    """Raise the standard deviation of points at sharp bends, and find those on blurred steps and the links by depth.
 
     Args:
         stride: of the measured pixels; per_order: change of 1 / z from one fringe order to the next, 1 / mm.
         xyz: (H, W, 3), sigma: (H, W), mm, NaN where unknown; the second is changed.
         bends: of :func:`bends_of`, written but for its border.
-        least_steps: along rows and columns, of :func:`pipeline.filter.blurred_steps.least_step`.
         on_step: (h, w) of the measured pixels, written: 1 where a point is on a blurred step.
+        known, link: (h, w), written, of :func:`pipeline.filter.depth_clusters.link_row`.
     """
     height = len(bends) - 2 * SPREAD
-    _bends(blocks(height, ROWS), stride, per_order, *least_steps, xyz, sigma, bends, on_step)
+    _bends(blocks(height, ROWS), stride, per_order, *steps, xyz, sigma, bends, on_step, known, link)
     _widen(blocks(height, ROWS), stride, bends, sigma)

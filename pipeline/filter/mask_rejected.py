@@ -1,4 +1,4 @@
-"""Rejected points are set to unknown in the planes of the cloud, which the match has written."""
+"""Rejected points are set to unknown in the planes of the cloud."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _mask_row(valid: Any, order: Any, near: Any, far: Any, xyz: Any, sigma: Any,
 def mask_rejected(
     i: int, valid: Any, order: Any, stride: int, near: Any, far: Any, xyz: Any, sigma: Any, order_out: Any
 ) -> None:
-    """Set rejected points, and those outside of the volume, to NaN and copy the orders of the others.
+    """Set rejected points of the match, and those outside of the volume, to NaN and copy the orders of the others.
 
     Args:
         valid: (h, w) uint8, 1 where a point is certain; order: (h, w) int16.
@@ -49,3 +49,19 @@ def mask_rejected(
         else:
             xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
             order_out[i, j] = _NOWHERE
+
+
+@parallel
+def reject_marked(a: int, rejected: Any, stride: int, xyz: Any, sigma: Any, order: Any) -> None:
+    """Set the points that are 1 in ``rejected`` (h, w) uint8 to unknown; arguments else as of :func:`mask_rejected`."""
+    some = np.uint8(0)
+    for b in range(rejected.shape[1]):
+        some |= rejected[a, b]
+    if some == 0:
+        return
+    i = stride * a
+    for b in range(rejected.shape[1]):
+        if rejected[a, b] != 0:
+            j = stride * b
+            xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
+            order[i, j] = _NOWHERE

@@ -24,7 +24,7 @@ from pipeline.filter.occlusion.uniqueness import Uniqueness
 from pipeline.filter.surfaces import surface_links
 from pipeline.filter.surfaces.component_test import component_test
 from pipeline.filter.surfaces.continued_orders import continued_orders
-from pipeline.filter.surfaces.small_surfaces import reject_contradicted, reject_eroded, reject_narrow
+from pipeline.filter.surfaces.small_surfaces import reject_contradicted, reject_eroded
 from pipeline.filter.surfaces.surface_evidence import DISTINCT
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
 from pipeline.fringe_order.margins.order_margins import Continued
@@ -145,8 +145,6 @@ class Gates:
             self._largest_odds, valid, agreement.misfit, points.sigma_mm,
         )  # fmt: skip
         reject_eroded(valid, surfaces, self._smallest)
-        surfaces.find(valid, self._link, self._smallest)
-        reject_narrow(valid, surfaces, self._smallest, self._stride)
         return valid
 
     def _test_components(self, match: MatchResult, agreement: Agreement, mean: Any, scale: Scale) -> None:

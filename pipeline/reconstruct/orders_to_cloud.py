@@ -14,9 +14,10 @@ from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.packed_phasor import PHASOR_SCALE
-from pipeline.filter.blurred_steps import least_step, reject_steps
-from pipeline.filter.depth_bends import bends_of, widen_at_bends
-from pipeline.filter.mask_rejected import mask_rejected
+from pipeline.filter.blurred_steps import least_step
+from pipeline.filter.depth_bends import DepthSteps, bends_of, widen_at_bends
+from pipeline.filter.depth_clusters import Clusters, largest_step
+from pipeline.filter.mask_rejected import mask_rejected, reject_marked
 from pipeline.filter.point_filter import Gates, phase_weight
 from pipeline.filter.sigma_terms import ROWS as SIGMA_ROWS
 from pipeline.filter.sigma_terms import shares_of, widen_sigma
@@ -66,16 +67,18 @@ class CloudStage:
         self._correlation = np.float32(correlation)
         self.contrast = 1.0  # of the right camera's fringes, relative to the left one's
         self._slopes = stride * left.slopes[0], stride * left.slopes[1]
+        smallest = max(settings.cluster_min_area // stride**2, 1)
         self._gates = Gates(
             shape, calibration.right.size, calibration.projector.size,
-            self._slopes, left.depth, left.order_step, settings,
-            smallest=max(settings.cluster_min_area // stride**2, 1),
+            self._slopes, left.depth, left.order_step, settings, smallest=smallest,
             phase_weight=phase_weight(baselines(calibration), linear=left.linear), stride=stride,
         )  # fmt: skip
         self._agreement, self._bends = Agreement.empty(shape), bends_of(shape)
-        self._on_step = np.zeros(shape, np.uint8)
-        focal = calibration.left.matrix[0, 0], calibration.left.matrix[1, 1]
-        self._least_steps = least_step(focal[0], stride), least_step(focal[1], stride)
+        self._clusters, self._rejected = Clusters(shape, smallest, stride), np.empty(shape, np.uint8)
+        fx, fy = calibration.left.matrix[0, 0], calibration.left.matrix[1, 1]
+        self._steps = DepthSteps(
+            (least_step(fx, stride), least_step(fy, stride)), (largest_step(fx, stride), largest_step(fy, stride))
+        )
         self._slope = np.float32(self._slopes[0])
 
     def match(
@@ -163,11 +166,13 @@ class CloudStage:
         kept = np.empty(self._size, np.int16)
         # Only now: surfaces beyond the volume compete for the pixels of the right camera with false ones inside it.
         mask_rejected(len(kept), valid, part_order, self._stride, *self._depths, points.xyz, points.sigma_mm, kept)
+        rejected, clusters = self._rejected, self._clusters
         widen_at_bends(
-            self._stride, self._gates.per_order, self._least_steps, points.xyz, points.sigma_mm, self._bends,
-            self._on_step,
+            self._stride, self._gates.per_order, self._steps, points.xyz, points.sigma_mm, self._bends, rejected,
+            clusters.known, clusters.link,
         )  # fmt: skip
-        reject_steps(len(self._on_step), self._on_step, self._stride, points.xyz, points.sigma_mm, kept)
+        clusters.reject_small(rejected)
+        reject_marked(len(rejected), rejected, self._stride, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(
             xyz=points.xyz,
             sigma_mm=points.sigma_mm,

@@ -68,17 +68,15 @@ def reject_eroded(valid: NDArray[np.uint8], surfaces: Surfaces, smallest: int) -
     reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
 
 
-def reject_narrow(valid: NDArray[np.uint8], surfaces: Surfaces, smallest: int, stride: int) -> None:
-    """Reject small surfaces of less than LEAST_WIDTH pixels on average; ``valid`` is changed.
+def narrow(surfaces: Surfaces, smallest: int, stride: int) -> NDArray[np.bool_]:
+    """Which surfaces (n,) are small and have less than LEAST_WIDTH pixels on average.
 
     Args:
-        surfaces: of ``valid``; smallest: as of :func:`reject_eroded`; stride: as of :func:`reject_contradicted`.
+        smallest: as of :func:`reject_eroded`; stride: as of :func:`reject_contradicted`.
     """
-    f = surfaces
-    top, bottom, left, right = boxes_of(f).T
+    top, bottom, left, right = boxes_of(surfaces).T
     length = np.maximum(bottom - top, right - left) + 1
-    rejected = (f.sizes < RELIABLE * smallest) & (stride * f.sizes < LEAST_WIDTH * length)
-    reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
+    return (surfaces.sizes < RELIABLE * smallest) & (stride * surfaces.sizes < LEAST_WIDTH * length)
 
 
 def boxes_of(surfaces: Surfaces) -> NDArray[np.int32]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.filter.blurred_steps import least_step
-from pipeline.filter.depth_bends import CLEAR, FAR, NOISE, ROWS, SHARE, SPREAD, bends_of, widen_at_bends
+from pipeline.filter.depth_bends import CLEAR, FAR, NOISE, ROWS, SHARE, SPREAD, DepthSteps, bends_of, widen_at_bends
 
 SHAPE, SIGMA = (3 * ROWS + 5, 90), 0.03
 PER_ORDER = np.float32(30.0 / 900.0**2)
@@ -27,7 +27,8 @@ def _widened(depth: Any, stride: int = 1, sigma: float = SIGMA) -> Any:
     before = xyz.copy()
     shape = depth[::stride, ::stride].shape
     least = least_step(FOCAL_PX, stride)
-    widen_at_bends(stride, PER_ORDER, (least, least), xyz, sigmas, bends_of(shape), np.empty(shape, np.uint8))
+    steps, planes = DepthSteps((least, least), (least, least)), np.empty((3, *shape), np.uint8)
+    widen_at_bends(stride, PER_ORDER, steps, xyz, sigmas, bends_of(shape), *planes)
     np.testing.assert_array_equal(xyz, before)
     return sigmas
 

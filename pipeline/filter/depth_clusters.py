@@ -1,0 +1,75 @@
+"""Small clusters: points that hang together by depth, and too few of them to be a surface.
+
+Surfaces are found by phase and match before, where a step in depth of a small part of a fringe order is no border. What
+the tests leave of a false surface may hang together with a true one by points that are rejected later, such as those on
+blurred steps. So points are grouped once more, by the depth itself, after all tests: neighbours belong to one cluster
+where the surface between them is not too steep to be measured.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.common.connected_components import LEFT, UP, Surfaces
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
+from pipeline.filter.surfaces.small_surfaces import narrow
+
+LARGEST_TANGENT = 6.0
+"""Tangent of the steepest slope, to the image plane, between neighbours of one cluster."""
+_YES = np.uint8(1)
+
+
+def largest_step(focal_px: float, stride: int) -> np.float32:
+    """Change of the depth up to which neighbours belong to one cluster, by depth."""
+    return np.float32(LARGEST_TANGENT * stride / focal_px)
+
+
+@serial
+def link_row(depth: Any, k: int, border: int, most_x: Any, most_y: Any, rejected: Any, known: Any, link: Any) -> None:
+    """Points and links of row k of ``depth``, which has a border of unknown points.
+
+    Args:
+        most_x, most_y: of :func:`largest_step`.
+        rejected: (W,) 1 where a point is unknown all the same.
+        known, link: (W,) uint8, written: 1 where there is a point; bits LEFT and UP.
+    """
+    n, end = border, border + link.shape[0]
+    z, before, above = depth[k, n:end], depth[k, n - 1 : end - 1], depth[k - 1, n:end]
+    for j in range(link.shape[0]):
+        known[j] = np.uint8((z[j] == z[j]) & (rejected[j] == 0))
+        left, up = abs(z[j] - before[j]) <= most_x * z[j], abs(z[j] - above[j]) <= most_y * z[j]
+        link[j] = LEFT * np.uint8(left) | UP * np.uint8(up)
+
+
+@parallel
+def _mark(i: int, small: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, rejected: Any) -> None:
+    """Set ``rejected`` (H, W) to 1 in the runs of no surface and of those in ``small``."""
+    for t in range(count[0, i]):
+        k = surface[row[i] + t]
+        if k < 0 or small[k]:
+            rejected[i, start[i, t] : stop[i, t]] = _YES
+
+
+class Clusters:
+    """For images of one shape, in arrays that every call uses again.
+
+    Args:
+        smallest: pixels of the smallest cluster; stride: step of these pixels in the camera's image.
+
+    ``known`` and ``link``, both (H, W) uint8, are those of :func:`link_row`, for the caller to write.
+    """
+
+    def __init__(self, shape: tuple[int, int], smallest: int, stride: int) -> None:
+        self.known, self.link = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+        self._surfaces, self._smallest, self._stride = Surfaces(shape), smallest, stride
+
+    def reject_small(self, rejected: NDArray[np.uint8]) -> None:
+        """Set ``rejected`` (H, W) to 1 at the points of small and narrow clusters."""
+        f = self._surfaces
+        f.find(self.known, self.link, self._smallest)
+        small = narrow(f, self._smallest, self._stride)
+        _mark(len(rejected), small, f.start, f.stop, f.count, f.first, f.surface, rejected)
