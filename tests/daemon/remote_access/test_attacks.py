@@ -210,7 +210,7 @@ _cut = st.builds(lambda text, share: text[: int(share * len(text))], _texts, st.
 _messages = st.lists(_texts | _cut | _twice | st.binary(max_size=60), min_size=40, max_size=40)
 
 
-@pytest.mark.parametrize("count", [400, pytest.param(10_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [200, pytest.param(10_000, marks=pytest.mark.long)])
 def test_many_messages_through_the_cipher_do_what_their_role_allows_and_nothing_else(shared: World, count: int) -> None:
     counted = 0
     with rude(shared, zmq.DEALER, shared.viewer, shared.control_at) as client:

@@ -342,7 +342,9 @@ def test_a_surface_that_no_order_explains_must_win_more_clearly(number: int, wro
     assert found.covered > covered
 
 
-@pytest.mark.parametrize(("number", "wrong", "covered"), [(57, 0.005, 0.04), (118, 0.1, 0.5)])
+@pytest.mark.parametrize(
+    ("number", "wrong", "covered"), [(57, 0.005, 0.04), pytest.param(118, 0.1, 0.5, marks=pytest.mark.long)]
+)
 def test_a_pair_whose_orders_are_mostly_ambiguous_gives_few_wrong_points(
     number: int, wrong: float, covered: float
 ) -> None:
@@ -352,17 +354,18 @@ def test_a_pair_whose_orders_are_mostly_ambiguous_gives_few_wrong_points(
     assert found.covered > covered
 
 
-@pytest.mark.timeout(300)
-def test_scenes_that_no_limit_was_set_on() -> None:
-    """Random scenes on random rigs at half size; limits as of the named scenes.
-
-    Between bars of one of them a patch of the wall behind, which is out of reach, has their depth.
-    """
-    found = [errors_of(scaled(random_case(number), 0.5), 0) for number in (1, 214, 238, 306)]
-    assert sum(one.false_surfaces for one in found) <= 1
-    assert max(one.wrong for one in found) < 0.004
-    assert min(one.covered for one in found) > 0.6
-    assert all(0.7 < one.error_to_sigma < 1.4 for one in found)
+@pytest.mark.parametrize(
+    ("number", "false_surfaces"),
+    # Between bars of the third one a patch of the wall behind, which is out of reach, has their depth.
+    [(1, 0), *(pytest.param(*each, marks=pytest.mark.long) for each in ((214, 0), (238, 1), (306, 0)))],
+)
+def test_scenes_that_no_limit_was_set_on(number: int, false_surfaces: int) -> None:
+    """Random scenes on random rigs at half size; limits as of the named scenes."""
+    found = errors_of(scaled(random_case(number), 0.5), 0)
+    assert found.false_surfaces <= false_surfaces
+    assert found.wrong < 0.004
+    assert found.covered > 0.6
+    assert 0.7 < found.error_to_sigma < 1.4
 
 
 def test_a_user_reads_why_uniform_surfaces_get_no_points() -> None:

@@ -54,7 +54,7 @@ def reconstructor(calibration: Calibration | None = None, policy: str = "withhol
 
 @pytest.mark.parametrize(
     "scene",
-    ["mixed", "steep", "gloss", *(pytest.param(name, marks=pytest.mark.long) for name in ("face", "hand", "isolated"))],
+    ["mixed", "steep", *(pytest.param(name, marks=pytest.mark.long) for name in ("face", "gloss", "hand", "isolated"))],
 )
 def test_a_rig_as_calibrated_is_consistent(scene: str):
     images = pair(scene)
@@ -75,8 +75,10 @@ def test_every_reading_fits_into_a_message():
     ("optics", "encoding"),
     [
         (Optics.realistic(), "bayer_rggb8"),
-        (Optics(gamma=2.2, precorrected=False, crosstalk_error=0.1), "rgb8"),
-        pytest.param(Optics(noise=3.0), "rgb8", marks=pytest.mark.long),
+        pytest.param(
+            Optics(gamma=2.2, precorrected=False, crosstalk_error=0.1), "rgb8", marks=pytest.mark.long, id="gamma"
+        ),
+        pytest.param(Optics(noise=3.0), "rgb8", marks=pytest.mark.long, id="noise"),
     ],
 )
 def test_ordinary_errors_of_colour_noise_and_projector_are_no_inconsistency(optics: Optics, encoding: str):
@@ -158,7 +160,7 @@ def test_where_patches_are_clipped_the_order_search_shows_a_turned_camera(degree
 
 
 def test_where_half_of_the_patches_cannot_be_measured_others_are_chosen(monkeypatch: pytest.MonkeyPatch):
-    images = pair("slots")
+    images = pair("mixed")
     right = images.right.copy()
     right[: len(right) // 2 + 60] = 255
     right.setflags(write=False)
@@ -312,6 +314,7 @@ def test_a_pitch_is_measured_by_the_displacement_at_which_the_fringes_agree_best
     assert abs(reading) == pytest.approx(abs(degrees), rel=0.45)  # displacements are tried in such steps
 
 
+@pytest.mark.long
 def test_fringes_without_slope_across_the_epipolar_lines_are_no_evidence_of_a_pitch():
     """Wide fringes: a bias of the phase by some milliradians would be a displacement of several pixels."""
     case = scaled(next(case for case in HARD if case.name == "plaster cast, wide fringes"), 0.5)

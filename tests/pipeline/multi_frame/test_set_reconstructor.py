@@ -42,7 +42,7 @@ def test_errors_agree_with_sigma(mode):
     ("mode", "speed_m_s"),
     [
         ("heterodyne", 0.3),
-        ("gray", 1.0),
+        pytest.param("gray", 1.0, marks=pytest.mark.long),
         pytest.param("heterodyne", 1.0, marks=pytest.mark.long),
         pytest.param("gray", 0.3, marks=pytest.mark.long),
     ],

@@ -126,10 +126,8 @@ def test_an_unfinished_loop_goes_on_where_it_ended(options: SimOptions, ended: P
     "damage",
     [
         "image",
-        "sums",
-        "number",
         "other shape",
-        *(pytest.param(k, marks=pytest.mark.long) for k in ("first image", "short")),
+        *(pytest.param(k, marks=pytest.mark.long) for k in ("first image", "number", "short", "sums")),
     ],
 )
 def test_damaged_images_of_an_unfinished_loop_are_rendered_again(

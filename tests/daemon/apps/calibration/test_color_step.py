@@ -104,6 +104,7 @@ def test_fringes_for_geometry_are_no_colours(
     assert "no sequence of uniform colours" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_everything_at_once(tmp_path: Path, capture_folder: Path, color_folder: Path) -> None:
     out = tmp_path / "calibration.yaml"
     views = ["--views", str(capture_folder), "--views", str(color_folder)]

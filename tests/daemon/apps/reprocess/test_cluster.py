@@ -108,6 +108,7 @@ def test_killed_workers_cost_no_result(sources: Path, tmp_path: Path, expected: 
     expect_results(expected, tmp_path)
 
 
+@pytest.mark.long  # starts a cluster of its own
 def test_after_the_death_of_the_scheduler_the_same_command_completes_the_results(
     sources: Path, tmp_path: Path, expected: Expected, engine: DaskEngine
 ) -> None:

@@ -48,6 +48,7 @@ def test_a_rotated_right_camera_is_identified_and_corrected(rig: Rig) -> None:
     assert "before" in text and "trinocular residual" in text and "right turned" in text
 
 
+@pytest.mark.long
 def test_a_rotated_projector_is_refined(rig: Rig) -> None:
     captured = pairs(rig, Disturbance("projector", turn_deg=(0.0, 0.02, 0.0)))
     found = refine(rig.calibration, rig.pattern, rig.volume, "rgb8", captured, device="projector")

@@ -249,7 +249,7 @@ def test_small_images_and_odd_sizes(width, height, focal):
         assert len(error) == 99 and np.sqrt((error**2).mean()) < 0.015
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_five_megapixels():
     device = camera(2592, 1944, 8600.0)
     found = find_marks(noisy(clean(DEFAULT_BOARD, device, TILTED, ss=1, blur_px=1.2)), DEFAULT_BOARD)

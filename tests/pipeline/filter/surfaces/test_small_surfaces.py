@@ -15,8 +15,8 @@ from pipeline.filter.surfaces.small_surfaces import (
     MOST_CONTRADICTED,
     RADIUS,
     RELIABLE,
-    reject_contradicted,
     narrow,
+    reject_contradicted,
     reject_eroded,
 )
 
