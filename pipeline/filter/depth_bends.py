@@ -5,8 +5,10 @@ one of the cameras sees the end of a surface, the points between are wrong by up
 the textures show it. The depth does: a point that lies off the straight line through its neighbours by more than their
 noise explains has probably that error itself.
 
-Two second differences along the rows and two along the columns: of the neighbours on both sides, and, within
-:data:`FAR` pixels of the end of a surface, of the points farther inside. Noise alone gives a variance of 6 sigma^2.
+Two second differences along the rows and two along the columns: of the points :data:`NEAR` pixels away on both sides,
+and, within :data:`FAR` pixels of the end of a surface, of the points farther inside. Independent noise gives a variance
+of 6 sigma^2. Direct neighbours show no bend where a step has become a slope, and one side of it is inclined nearly as
+much.
 Points whose depth differs by more than half a fringe order belong to another surface: a mixture of such phases does not
 lie between both.
 
@@ -31,11 +33,12 @@ F32 = NDArray[np.float32]
 
 ROWS = 32
 """Rows that are processed together."""
-FAR = 3
-"""Distance of the points farther inside, pixels; the second of them is twice as far."""
-SHARE, NOISE = np.float32(0.5), np.float32(36.0)
-"""Share of the squared difference that becomes variance, and how many variances of the point are taken as noise: six
-times those of the difference, so that noise alone raises the standard deviation by 7 % at most."""
+NEAR, FAR = 2, 3
+"""Distance of the points on both sides, pixels (with a stride, one measured pixel at least), and of those farther
+inside; the second of these is twice as far."""
+SHARE, NOISE, END_NOISE = np.float32(0.5), np.float32(64.0), np.float32(36.0)
+"""Share of the squared difference that becomes variance, and how many variances of the point are taken as noise, the
+last at the end of a surface: with 36 everywhere error / sigma inside of surfaces is 0.95 instead of 1.00."""
 SPREAD = 2
 """Distance along rows and columns up to which a bend raises the standard deviation, pixels (with a stride, one measured
 pixel at least)."""
@@ -72,21 +75,22 @@ def _beyond(difference: Any, noise: Any) -> Any:
 
 
 @serial
-def _add_bends(z: Any, before: Any, after: Any, most: Any, noise: Any, more: Any) -> None:
+def _add_bends(z: Any, before: Any, after: Any, most: Any, variance: Any, more: Any) -> None:
     """Add the bends of a row to ``more`` (W,).
 
     Args:
-        before, after: (W,) depth of the neighbours, NaN if unknown; most: (W,) largest step within a surface.
-        noise: (W,) variance that is taken as noise.
+        before, after: (W,) depth at NEAR pixels, NaN if unknown; most: (W,) largest step within a surface.
+        variance: (W,) of the points.
     """
     for j in range(more.shape[0]):
         here, limit = z[j], most[j]
-        more[j] += _beyond(_same(before[j], here, limit) - _TWO * here + _same(after[j], here, limit), noise[j])
+        bend = _same(before[j], here, limit) - _TWO * here + _same(after[j], here, limit)
+        more[j] += _beyond(bend, NOISE * variance[j])
 
 
 @serial
 def _add_ends(
-    z: Any, before: Any, after: Any, farther: Any, beyond: Any, most: Any, noise: Any, more: Any
+    z: Any, before: Any, after: Any, farther: Any, beyond: Any, most: Any, variance: Any, more: Any
 ) -> None:  # fmt: skip
     """Add what the points farther inside show of those that lack a neighbour at :data:`FAR` pixels on one side.
 
@@ -100,7 +104,7 @@ def _add_ends(
         other = here - _TWO * second + _same(beyond[j], here, limit)
         both = first - second
         inside = other if other == other else one
-        more[j] += _beyond(_ZERO if both == both else inside, noise[j])
+        more[j] += _beyond(_ZERO if both == both else inside, END_NOISE * variance[j])
 
 
 @serial
@@ -110,23 +114,23 @@ def _copy_depth(xyz: Any, out: Any) -> None:
 
 
 @serial
-def _bends_of_row(depth: Any, k: int, half_order: Any, sigma: Any, rows: Any, out: Any) -> None:
+def _bends_of_row(depth: Any, k: int, near: int, half_order: Any, sigma: Any, rows: Any, out: Any) -> None:
     """Variance (W,) that the bends of row k of ``depth`` add, which has a border of unknown points.
 
     Args:
-        sigma: (W,) of the row; rows: (2, W), scratch.
+        near: distance of the points on both sides; sigma: (W,) of the row; rows: (2, W), scratch.
     """
     end = _REACH + sigma.shape[0]
     row, z = depth[k], depth[k, _REACH:end]
-    most, noise = rows[0], rows[1]
+    most, variance = rows[0], rows[1]
     for j in range(sigma.shape[0]):
-        most[j], noise[j], out[j] = half_order * z[j] * z[j], NOISE * sigma[j] * sigma[j], _ZERO
-    _add_bends(z, row[_REACH - 1 : end - 1], row[_REACH + 1 : end + 1], most, noise, out)
-    _add_bends(z, depth[k - 1, _REACH:end], depth[k + 1, _REACH:end], most, noise, out)
+        most[j], variance[j], out[j] = half_order * z[j] * z[j], sigma[j] * sigma[j], _ZERO
+    _add_bends(z, row[_REACH - near : end - near], row[_REACH + near : end + near], most, variance, out)
+    _add_bends(z, depth[k - near, _REACH:end], depth[k + near, _REACH:end], most, variance, out)
     _add_ends(z, row[_REACH - FAR : end - FAR], row[_REACH + FAR : end + FAR], row[: end - _REACH],
-              row[2 * _REACH :], most, noise, out)  # fmt: skip
+              row[2 * _REACH :], most, variance, out)  # fmt: skip
     _add_ends(z, depth[k - FAR, _REACH:end], depth[k + FAR, _REACH:end], depth[k - _REACH, _REACH:end],
-              depth[k + _REACH, _REACH:end], most, noise, out)  # fmt: skip
+              depth[k + _REACH, _REACH:end], most, variance, out)  # fmt: skip
     for j in range(sigma.shape[0]):
         out[j] *= SHARE
 
@@ -138,7 +142,7 @@ def _bends(
 ) -> None:  # fmt: skip
     """Variance that the bends of :data:`ROWS` rows of measured pixels add; arguments as of :func:`widen_at_bends`."""
     height, width = bends.shape[0] - 2 * SPREAD, bends.shape[1] - 2 * SPREAD
-    half_order = np.float32(0.5) * per_order
+    half_order, near = np.float32(0.5) * per_order, max(NEAR // stride, 1)
     top = block * ROWS
     bottom = min(top + ROWS, height)
     # With a border of unknown points no access needs a test for the image's end.
@@ -156,11 +160,11 @@ def _bends(
         steps_of_row(depth, k, _REACH, least[0], least[1], half_order, on_step[a])
         link_row(depth, k, _REACH, most[0], most[1], on_step[a], known[a], link[a])
         if stride == 1:
-            _bends_of_row(depth, k, half_order, sigma[a], rows, out)
+            _bends_of_row(depth, k, near, half_order, sigma[a], rows, out)
         else:
             for j in range(width):
                 sparse[j] = sigma[stride * a, stride * j]
-            _bends_of_row(depth, k, half_order, sparse, rows, out)
+            _bends_of_row(depth, k, near, half_order, sparse, rows, out)
 
 
 @serial

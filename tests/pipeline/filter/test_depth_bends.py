@@ -8,7 +8,19 @@ import numpy as np
 import pytest
 
 from pipeline.filter.blurred_steps import least_step
-from pipeline.filter.depth_bends import CLEAR, FAR, NOISE, ROWS, SHARE, SPREAD, DepthSteps, bends_of, widen_at_bends
+from pipeline.filter.depth_bends import (
+    CLEAR,
+    END_NOISE,
+    FAR,
+    NEAR,
+    NOISE,
+    ROWS,
+    SHARE,
+    SPREAD,
+    DepthSteps,
+    bends_of,
+    widen_at_bends,
+)
 
 SHAPE, SIGMA = (3 * ROWS + 5, 90), 0.03
 PER_ORDER = np.float32(30.0 / 900.0**2)
@@ -33,8 +45,9 @@ def _widened(depth: Any, stride: int = 1, sigma: float = SIGMA) -> Any:
     return sigmas
 
 
-def _expected(depth: Any, spread: int = SPREAD) -> Any:
+def _expected(depth: Any, stride: int = 1) -> Any:
     """The same for every point by itself, from the definition."""
+    near, spread = NEAR // stride, SPREAD // stride
     z = np.pad(depth.astype(np.float64), 2 * FAR, constant_values=np.nan)
 
     def at(down: int, right: int) -> Any:
@@ -42,13 +55,13 @@ def _expected(depth: Any, spread: int = SPREAD) -> Any:
 
     more = np.zeros(depth.shape)
     for down, right in ((0, 1), (1, 0)):
-        bends = [at(-down, -right) - 2 * depth + at(down, right)]
+        bends = [at(-near * down, -near * right) - 2 * depth + at(near * down, near * right)]
         inner = [depth - 2 * at(s * FAR * down, s * FAR * right) + at(2 * s * FAR * down, 2 * s * FAR * right)
                  for s in (-1, 1)]  # fmt: skip
         both = np.isfinite(at(-FAR * down, -FAR * right) + at(FAR * down, FAR * right))
         bends.append(np.where(both, 0.0, np.where(np.isfinite(inner[0]), inner[0], inner[1])))
-        for bend in bends:
-            more += np.maximum(np.nan_to_num(bend) ** 2 - float(NOISE) * SIGMA**2, 0.0)
+        for bend, noise in zip(bends, (NOISE, END_NOISE), strict=True):
+            more += np.maximum(np.nan_to_num(bend) ** 2 - float(noise) * SIGMA**2, 0.0)
     most = more.copy()
     for step in range(1, spread + 1):
         most[step:] = np.maximum(most[step:], more[:-step])
@@ -97,24 +110,27 @@ def test_points_between_two_depths_get_a_sigma_of_their_error(step: float) -> No
     found, error = _widened(depth), np.abs(depth - truth)
     mixed = error > 1e-3
     assert mixed.any()
-    assert (0.5 * error[mixed] < found[mixed]).all() and (found[mixed] < 1.5 * error.max() + SIGMA).all()
+    assert (0.5 * error[mixed] < found[mixed]).all() and (found[mixed] < 2.2 * error.max() + SIGMA).all()
     i = np.indices(SHAPE)[0]
     np.testing.assert_allclose(found[(i < 44) | (i > 56)], SIGMA, rtol=1e-5)
 
 
-def test_points_on_the_slope_that_a_wide_window_makes_of_a_step_have_no_sigma_of_noise() -> None:
-    truth, depth = _smoothed_step(5.0, (1, 2, 3, 2, 1))
+@pytest.mark.parametrize("inclined", [0.0, 0.6, 1.2])
+def test_points_on_the_slope_that_a_wide_window_makes_of_a_step_have_no_sigma_of_noise(inclined: float) -> None:
+    """Also where one side is inclined, so that the slope is hardly steeper than the surface."""
+    truth, depth = _smoothed_step(5.0, (1, 2, 3, 2, 1), inclined)
     found, error = _widened(depth), np.abs(depth - truth)
     mixed = error > 1e-3
     assert np.sqrt(np.mean((error[mixed] / SIGMA) ** 2)) > 30
-    assert np.sqrt(np.mean((error[mixed] / found[mixed]) ** 2)) < 3.5
-    assert (found[mixed] < error.max()).all()
+    assert np.sqrt(np.mean((error[mixed] / found[mixed]) ** 2)) < 2.5
+    assert (found[mixed] < 1.5 * error.max()).all()
 
 
-def _smoothed_step(step: float, weights: tuple[int, ...]) -> tuple[Any, Any]:
-    """Depths with a step between two rows, and what a window of so many rows makes of it."""
+def _smoothed_step(step: float, weights: tuple[int, ...], inclined: float = 0.0) -> tuple[Any, Any]:
+    """Depths with a step between two rows, inclined from there on, and what a window of so many rows makes of it."""
     reach = len(weights) // 2
-    truth = np.where(np.indices(SHAPE)[0] < 50, 900.0, 900.0 + step)
+    i = np.indices(SHAPE)[0]
+    truth = np.where(i < 50, 900.0, 900.0 + step + inclined * (i - 50))
     padded = np.pad(truth, ((reach, reach), (0, 0)), mode="edge")
     mean = sum(w * padded[k : k + len(truth)] for k, w in enumerate(weights)) / sum(weights)
     return truth, mean.astype(np.float32)
@@ -145,5 +161,5 @@ def test_of_a_grid_with_a_stride_only_measured_pixels_count() -> None:
     sparse[::2, ::2] = depth
     found = _widened(sparse, stride=2)
     known = np.isfinite(depth)
-    np.testing.assert_allclose(found[::2, ::2][known], _expected(depth, SPREAD // 2)[known], rtol=2e-3)
+    np.testing.assert_allclose(found[::2, ::2][known], _expected(depth, stride=2)[known], rtol=2e-3)
     assert np.isnan(found[1::2]).all() and np.isnan(found[:, 1::2]).all()
