@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.reconstruction.cases import random_case
+from benchmarks.trust import errors_of
 from pipeline.filter.blurred_steps import least_step
 from pipeline.filter.depth_bends import (
     CLEAR,
@@ -163,3 +165,12 @@ def test_of_a_grid_with_a_stride_only_measured_pixels_count() -> None:
     known = np.isfinite(depth)
     np.testing.assert_allclose(found[::2, ::2][known], _expected(depth, stride=2)[known], rtol=2e-3)
     assert np.isnan(found[1::2]).all() and np.isnan(found[:, 1::2]).all()
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("number", [10, 22])
+def test_sigma_beside_steps_to_an_inclined_surface_is_that_of_the_error(number: int) -> None:
+    """Full size; error / sigma was 2.2 at edges."""
+    edge = errors_of(random_case(number), 0).rings["edge"]
+    assert 0.8 < edge.error_to_sigma < 1.5

@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.reconstruction.random_rigs import random_rig
+from benchmarks.trust import errors_of
 from pipeline.filter.depth_bends import DepthSteps, bends_of, widen_at_bends
 from pipeline.filter.depth_clusters import LARGEST_TANGENT, Clusters, largest_step
 from pipeline.filter.surfaces.small_surfaces import LEAST_WIDTH, RELIABLE
@@ -96,3 +98,10 @@ def test_what_remains_are_the_clusters_of_the_definition(seed: int, share: float
 
 def test_an_image_without_points_passes() -> None:
     assert not rejected(np.full(SHAPE, np.nan)).any()
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_remains_of_a_false_surface_beside_a_blurred_step_are_none() -> None:
+    """Of slots: 75 points had the depth of the wall behind."""
+    assert errors_of(random_rig(12), 0).false_surfaces == 0
