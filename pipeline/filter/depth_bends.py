@@ -36,7 +36,7 @@ ROWS = 32
 NEAR, FAR = 2, 3
 """Distance of the points on both sides, pixels (with a stride, one measured pixel at least), and of those farther
 inside; the second of these is twice as far."""
-SHARE, NOISE, END_NOISE = np.float32(0.5), np.float32(64.0), np.float32(36.0)
+SHARE, NOISE, END_NOISE = np.float32(0.5), np.float32(81.0), np.float32(36.0)
 """Share of the squared difference that becomes variance, and how many variances of the point are taken as noise, the
 last at the end of a surface: with 36 everywhere error / sigma inside of surfaces is 0.95 instead of 1.00."""
 SPREAD = 2

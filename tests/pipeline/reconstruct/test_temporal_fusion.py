@@ -43,7 +43,8 @@ def test_a_simulated_scene_at_rest_gets_less_noise_and_a_moving_sphere_no_bias()
     # The difference of two clouds has twice the variance of one, that of the mean of three and one 4/3 times.
     before, after = (np.std((one.xyz - last.xyz)[known][:, 2]) for one in (clouds[-2], fused))
     assert after / before == pytest.approx((4 / 3 / 2) ** 0.5, rel=0.05)
-    assert np.median(fused.sigma_mm[known] / clouds[-2].sigma_mm[known]) == pytest.approx(3**-0.5, rel=0.05)
+    # Clouds at rest differ by less than sigma, which contains errors that they share.
+    assert 1 <= 3**0.5 * np.median(fused.sigma_mm[known] / clouds[-2].sigma_mm[known]) < 1.07
     board_only = measured(None, 50)
     for k in range(1, 3):
         one = measured(-60.0 + MM_PER_FRAME * k, 100 + k)
