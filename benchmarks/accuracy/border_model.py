@@ -58,7 +58,7 @@ def samples(case: Case, seed: int) -> tuple[Floats, Floats]:
     with (
         mock.patch.object(point_filter, "border_test", collect),
         mock.patch.object(orders_to_cloud, "widen_at_bends", lambda *_: None),
-        mock.patch.object(orders_to_cloud, "reject_marked", lambda *_: None),
+        mock.patch.object(orders_to_cloud, "mask_unknown", lambda *_: None),
     ):
         cloud = reconstructor.reconstruct(pair.left, pair.right)
     truth = pair.truth_left

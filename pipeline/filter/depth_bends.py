@@ -8,9 +8,8 @@ noise explains has probably that error itself.
 Two second differences along the rows and two along the columns: of the points :data:`NEAR` pixels away on both sides,
 and, within :data:`FAR` pixels of the end of a surface, of the points farther inside. Independent noise gives a variance
 of 6 sigma^2. Direct neighbours show no bend where a step has become a slope, and one side of it is inclined nearly as
-much.
-Points whose depth differs by more than half a fringe order belong to another surface: a mixture of such phases does not
-lie between both.
+much. Points whose depth differs by more than half a fringe order belong to another surface: a mixture of such phases
+does not lie between both.
 
 A window that straddles a step makes a slope of it that is several pixels wide. The depth bends at both ends of the
 slope and the errors are largest between them, so a bend counts for the points within :data:`SPREAD` pixels, too.
@@ -137,8 +136,8 @@ def _bends_of_row(depth: Any, k: int, near: int, half_order: Any, sigma: Any, ro
 
 @parallel
 def _bends(
-    block: int, stride: int, per_order: Any, least: Any, most: Any, xyz: Any, sigma: Any, bends: Any, on_step: Any,
-    known: Any, link: Any,
+    block: int, stride: int, per_order: Any, least: Any, most: Any, xyz: Any, sigma: Any, bends: Any, known: Any,
+    link: Any,
 ) -> None:  # fmt: skip
     """Variance that the bends of :data:`ROWS` rows of measured pixels add; arguments as of :func:`widen_at_bends`."""
     height, width = bends.shape[0] - 2 * SPREAD, bends.shape[1] - 2 * SPREAD
@@ -154,11 +153,11 @@ def _bends(
         else:
             for j in range(width):
                 row[j] = xyz[stride * a, stride * j, 2]
-    rows, sparse = np.empty((2, width), np.float32), np.empty(width, np.float32)
+    rows, sparse, on_step = np.empty((2, width), np.float32), np.empty(width, np.float32), np.empty(width, np.uint8)
     for a in range(top, bottom):
         k, out = a - top + _REACH, bends[a + SPREAD, SPREAD : SPREAD + width]
-        steps_of_row(depth, k, _REACH, least[0], least[1], half_order, on_step[a])
-        link_row(depth, k, _REACH, most[0], most[1], on_step[a], known[a], link[a])
+        steps_of_row(depth, k, _REACH, least[0], least[1], half_order, on_step)
+        link_row(depth, k, _REACH, most[0], most[1], on_step, known[a], link[a])
         if stride == 1:
             _bends_of_row(depth, k, near, half_order, sigma[a], rows, out)
         else:
@@ -201,17 +200,16 @@ def bends_of(shape: tuple[int, int]) -> F32:
 
 def widen_at_bends(
     stride: int, per_order: np.float32, steps: DepthSteps, xyz: F32, sigma: F32, bends: F32,
-    on_step: NDArray[np.uint8], known: NDArray[np.uint8], link: NDArray[np.uint8],
+    known: NDArray[np.uint8], link: NDArray[np.uint8],
 ) -> None:  # fmt: skip
-    """Raise the standard deviation of points at sharp bends, and find those on blurred steps and the links by depth.
+    """Raise the standard deviation of points at sharp bends, and find the points not on blurred steps and their links.
 
     Args:
         stride: of the measured pixels; per_order: change of 1 / z from one fringe order to the next, 1 / mm.
         xyz: (H, W, 3), sigma: (H, W), mm, NaN where unknown; the second is changed.
         bends: of :func:`bends_of`, written but for its border.
-        on_step: (h, w) of the measured pixels, written: 1 where a point is on a blurred step.
-        known, link: (h, w), written, of :func:`pipeline.filter.depth_clusters.link_row`.
+        known, link: (h, w) of the measured pixels, written, of :func:`pipeline.filter.depth_clusters.link_row`.
     """
     height = len(bends) - 2 * SPREAD
-    _bends(blocks(height, ROWS), stride, per_order, *steps, xyz, sigma, bends, on_step, known, link)
+    _bends(blocks(height, ROWS), stride, per_order, *steps, xyz, sigma, bends, known, link)
     _widen(blocks(height, ROWS), stride, bends, sigma)

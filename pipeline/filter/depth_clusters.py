@@ -11,16 +11,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.common.connected_components import LEFT, UP, Surfaces
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.filter.surfaces.component_test import reject_surfaces
 from pipeline.filter.surfaces.small_surfaces import narrow
 
 LARGEST_TANGENT = 6.0
 """Tangent of the steepest slope, to the image plane, between neighbours of one cluster."""
-_YES = np.uint8(1)
 
 
 def largest_step(focal_px: float, stride: int) -> np.float32:
@@ -29,29 +27,20 @@ def largest_step(focal_px: float, stride: int) -> np.float32:
 
 
 @serial
-def link_row(depth: Any, k: int, border: int, most_x: Any, most_y: Any, rejected: Any, known: Any, link: Any) -> None:
+def link_row(depth: Any, k: int, border: int, most_x: Any, most_y: Any, on_step: Any, known: Any, link: Any) -> None:
     """Points and links of row k of ``depth``, which has a border of unknown points.
 
     Args:
         most_x, most_y: of :func:`largest_step`.
-        rejected: (W,) 1 where a point is unknown all the same.
+        on_step: (W,) 1 where a point is on a blurred step, so that it is unknown.
         known, link: (W,) uint8, written: 1 where there is a point; bits LEFT and UP.
     """
     n, end = border, border + link.shape[0]
     z, before, above = depth[k, n:end], depth[k, n - 1 : end - 1], depth[k - 1, n:end]
     for j in range(link.shape[0]):
-        known[j] = np.uint8((z[j] == z[j]) & (rejected[j] == 0))
+        known[j] = np.uint8((z[j] == z[j]) & (on_step[j] == 0))
         left, up = abs(z[j] - before[j]) <= most_x * z[j], abs(z[j] - above[j]) <= most_y * z[j]
         link[j] = LEFT * np.uint8(left) | UP * np.uint8(up)
-
-
-@parallel
-def _mark(i: int, small: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, rejected: Any) -> None:
-    """Set ``rejected`` (H, W) to 1 in the runs of no surface and of those in ``small``."""
-    for t in range(count[0, i]):
-        k = surface[row[i] + t]
-        if k < 0 or small[k]:
-            rejected[i, start[i, t] : stop[i, t]] = _YES
 
 
 class Clusters:
@@ -67,9 +56,9 @@ class Clusters:
         self.known, self.link = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
         self._surfaces, self._smallest, self._stride = Surfaces(shape), smallest, stride
 
-    def reject_small(self, rejected: NDArray[np.uint8]) -> None:
-        """Set ``rejected`` (H, W) to 1 at the points of small and narrow clusters."""
+    def reject_small(self) -> None:
+        """Set ``known`` to 0 at the points of small and narrow clusters."""
         f = self._surfaces
         f.find(self.known, self.link, self._smallest)
-        small = narrow(f, self._smallest, self._stride)
-        _mark(len(rejected), small, f.start, f.stop, f.count, f.first, f.surface, rejected)
+        thin = narrow(f, self._smallest, self._stride)
+        reject_surfaces(len(self.known), thin, f.start, f.stop, f.count, f.first, f.surface, self.known)

@@ -52,16 +52,15 @@ def mask_rejected(
 
 
 @parallel
-def reject_marked(a: int, rejected: Any, stride: int, xyz: Any, sigma: Any, order: Any) -> None:
-    """Set the points that are 1 in ``rejected`` (h, w) uint8 to unknown; arguments else as of :func:`mask_rejected`."""
-    some = np.uint8(0)
-    for b in range(rejected.shape[1]):
-        some |= rejected[a, b]
-    if some == 0:
+def mask_unknown(a: int, known: Any, stride: int, xyz: Any, sigma: Any, order: Any) -> None:
+    """Set the points that are 0 in ``known`` (h, w) uint8 to unknown; arguments else as of :func:`mask_rejected`."""
+    i, some = stride * a, False
+    for b in range(known.shape[1]):
+        some |= (known[a, b] == 0) & (sigma[i, stride * b] == sigma[i, stride * b])
+    if not some:
         return
-    i = stride * a
-    for b in range(rejected.shape[1]):
-        if rejected[a, b] != 0:
+    for b in range(known.shape[1]):
+        if known[a, b] == 0:
             j = stride * b
             xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
             order[i, j] = _NOWHERE

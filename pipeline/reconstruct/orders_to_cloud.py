@@ -17,7 +17,7 @@ from pipeline.decode.packed_phasor import PHASOR_SCALE
 from pipeline.filter.blurred_steps import least_step
 from pipeline.filter.depth_bends import DepthSteps, bends_of, widen_at_bends
 from pipeline.filter.depth_clusters import Clusters, largest_step
-from pipeline.filter.mask_rejected import mask_rejected, reject_marked
+from pipeline.filter.mask_rejected import mask_rejected, mask_unknown
 from pipeline.filter.point_filter import Gates, phase_weight
 from pipeline.filter.sigma_terms import ROWS as SIGMA_ROWS
 from pipeline.filter.sigma_terms import shares_of, widen_sigma
@@ -74,7 +74,7 @@ class CloudStage:
             phase_weight=phase_weight(baselines(calibration), linear=left.linear), stride=stride,
         )  # fmt: skip
         self._agreement, self._bends = Agreement.empty(shape), bends_of(shape)
-        self._clusters, self._rejected = Clusters(shape, smallest, stride), np.empty(shape, np.uint8)
+        self._clusters = Clusters(shape, smallest, stride)
         fx, fy = calibration.left.matrix[0, 0], calibration.left.matrix[1, 1]
         self._steps = DepthSteps(
             (least_step(fx, stride), least_step(fy, stride)), (largest_step(fx, stride), largest_step(fy, stride))
@@ -166,13 +166,13 @@ class CloudStage:
         kept = np.empty(self._size, np.int16)
         # Only now: surfaces beyond the volume compete for the pixels of the right camera with false ones inside it.
         mask_rejected(len(kept), valid, part_order, self._stride, *self._depths, points.xyz, points.sigma_mm, kept)
-        rejected, clusters = self._rejected, self._clusters
+        clusters = self._clusters
         widen_at_bends(
-            self._stride, self._gates.per_order, self._steps, points.xyz, points.sigma_mm, self._bends, rejected,
-            clusters.known, clusters.link,
+            self._stride, self._gates.per_order, self._steps, points.xyz, points.sigma_mm, self._bends, clusters.known,
+            clusters.link,
         )  # fmt: skip
-        clusters.reject_small(rejected)
-        reject_marked(len(rejected), rejected, self._stride, points.xyz, points.sigma_mm, kept)
+        clusters.reject_small()
+        mask_unknown(len(clusters.known), clusters.known, self._stride, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(
             xyz=points.xyz,
             sigma_mm=points.sigma_mm,

@@ -13,7 +13,7 @@ from benchmarks.reconstruction.random_rigs import random_rig
 from benchmarks.trust import errors_of
 from pipeline.filter.blurred_steps import STEEP, least_step
 from pipeline.filter.depth_bends import DepthSteps, bends_of, widen_at_bends
-from pipeline.filter.mask_rejected import reject_marked
+from pipeline.filter.mask_rejected import mask_unknown
 
 SHAPE, FOCAL_PX, SIGMA = (40, 70), 2250.0, 0.03
 DISTANCE = 900.0
@@ -31,10 +31,10 @@ def rejected(depth: Any, *, stride: int = 1, transposed: bool = False, order_mm:
     order = np.where(np.isfinite(depth), 7, -1).astype(np.int16)
     shape = depth[::stride, ::stride].shape
     least = least_step(FOCAL_PX, stride)
-    on_step, *links = np.empty((3, *shape), np.uint8)
+    known, link = np.empty((2, *shape), np.uint8)
     per_order, steps = np.float32(order_mm / DISTANCE**2), DepthSteps((least, least), (least, least))
-    widen_at_bends(stride, per_order, steps, xyz, sigma, bends_of(shape), on_step, *links)
-    reject_marked(len(on_step), on_step, stride, xyz, sigma, order)
+    widen_at_bends(stride, per_order, steps, xyz, sigma, bends_of(shape), known, link)
+    mask_unknown(len(known), known, stride, xyz, sigma, order)
     lost = np.isfinite(depth) & ~np.isfinite(xyz[..., 2])
     assert (np.isnan(xyz).all(axis=-1) == np.isnan(sigma)).all()
     assert (np.isnan(sigma) == (order == -1)).all()

@@ -41,7 +41,7 @@ def _widened(depth: Any, stride: int = 1, sigma: float = SIGMA) -> Any:
     before = xyz.copy()
     shape = depth[::stride, ::stride].shape
     least = least_step(FOCAL_PX, stride)
-    steps, planes = DepthSteps((least, least), (least, least)), np.empty((3, *shape), np.uint8)
+    steps, planes = DepthSteps((least, least), (least, least)), np.empty((2, *shape), np.uint8)
     widen_at_bends(stride, PER_ORDER, steps, xyz, sigmas, bends_of(shape), *planes)
     np.testing.assert_array_equal(xyz, before)
     return sigmas

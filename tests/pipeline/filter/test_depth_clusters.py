@@ -27,15 +27,14 @@ def rejected(depth: Any, *, stride: int = 1, on_step: Any = None, smallest: int 
     xyz = np.repeat(depth[..., None], 3, axis=-1).astype(np.float32)
     sigma = np.full(depth.shape, np.float32(0.03))
     shape, most = depth[::stride, ::stride].shape, largest_step(FOCAL_PX, stride)
-    clusters, marked = Clusters(shape, smallest, stride), np.empty(shape, np.uint8)
+    clusters, measured = Clusters(shape, smallest, stride), np.isfinite(depth[::stride, ::stride])
     steps = DepthSteps((NEVER, NEVER), (most, most))
-    links = clusters.known, clusters.link
-    widen_at_bends(stride, np.float32(1e-4), steps, xyz, sigma, bends_of(shape), marked, *links)
-    assert not marked.any()
+    widen_at_bends(stride, np.float32(1e-4), steps, xyz, sigma, bends_of(shape), clusters.known, clusters.link)
+    np.testing.assert_array_equal(clusters.known, measured)
     if on_step is not None:
-        marked[on_step], clusters.known[on_step] = 1, 0
-    clusters.reject_small(marked)
-    return (marked != 0) & np.isfinite(depth[::stride, ::stride])
+        clusters.known[on_step] = 0
+    clusters.reject_small()
+    return measured & (clusters.known == 0)
 
 
 def block(depth: Any, height: int, width: int, step: float) -> Any:
