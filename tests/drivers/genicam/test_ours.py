@@ -18,6 +18,7 @@ from drivers.genicam.formats import BY_NAME
 from drivers.protocols import Camera, Frame
 from sim.gentl.cable import Cable
 from tests.drivers.genicam import producers
+from tests.open_files import open_files
 from tools.waiting import wait_until
 
 Make = Callable[..., Camera]
@@ -338,7 +339,7 @@ def test_nothing_grows_by_starting_and_opening_again(make: Make, rig: Rig, openi
     cable, camera = rig[0], make()
 
     def held() -> tuple[int, int]:
-        return len(list(Path("/proc/self/fd").iterdir())), threading.active_count()
+        return open_files(), threading.active_count()
 
     before = None
     for _ in range(openings):

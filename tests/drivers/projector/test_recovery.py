@@ -16,6 +16,7 @@ import pytest
 from drivers.projector import OutputProjector
 from sim.box.xserver import XServer
 from tests.drivers.projector import x
+from tests.open_files import open_files
 from tools.waiting import wait_until
 
 Make = Callable[..., OutputProjector]
@@ -177,7 +178,7 @@ def test_the_window_ends_with_its_parent_and_puts_the_gamma_table_back(own_serve
 def test_nothing_is_left_behind_by_many_lives(server: XServer, projector: Make, cycles: int) -> None:
     def left() -> tuple[int, int, int]:
         children = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
-        return len(list(Path("/proc/self/fd").iterdir())), len(children), threading.active_count()
+        return open_files(), len(children), threading.active_count()
 
     image, before = x.noise(server, 1), None
     for cycle in range(cycles):

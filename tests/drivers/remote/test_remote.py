@@ -22,6 +22,7 @@ from drivers.errors import DeviceLost, DriverError, SettingRefused
 from drivers.protocols import Camera, Frame
 from drivers.remote import RemoteCamera
 from drivers.remote.camera import Limits
+from tests.open_files import open_files
 from tools.waiting import wait_until
 
 TARGET = "tests.drivers.remote.fake:open_camera"
@@ -325,9 +326,8 @@ def test_closing_twice_is_allowed(camera: Any) -> None:
 @pytest.mark.parametrize("openings", [10, pytest.param(50, marks=pytest.mark.long)])
 def test_nothing_is_left_behind_by_many_openings(camera: Any, openings: int) -> None:
     def held() -> tuple[int, int, int, list[str]]:
-        gc.collect()
+        files = open_files()
         maps = Path("/proc/self/maps").read_text()
-        files = len(list(Path("/proc/self/fd").iterdir()))
         # Zombies are among the children; so may be processes of other tests' fixtures.
         children = sorted(
             c for task in Path("/proc/self/task").iterdir() for c in (task / "children").read_text().split()

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sim.box.output_grabber import DisplayLost, Grabber, Rectangle
 from sim.box.xserver import XServer
+from tests.open_files import open_files
 from tests.sim.box.painter import Painter
 
 
 def random_image(width: int, height: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
-
-
-def open_files() -> int:
-    return len(list(Path("/proc/self/fd").iterdir()))
 
 
 def test_every_byte_of_an_output_and_none_of_its_neighbour(server: XServer) -> None:

@@ -29,13 +29,10 @@ from fringed.stream.receiver import Receiver
 from fringed.stream.subscription import Subscription
 from tests.daemon import rigs
 from tests.daemon.live.publishing import clouds
+from tests.open_files import open_files
 from tools.waiting import wait_until
 
 WAIT_S = 8.0
-
-
-def open_files() -> int:
-    return len(list(Path("/proc/self/fd").iterdir()))
 
 
 def connected(made: Publisher, topic: str = "cloud/full") -> None:
