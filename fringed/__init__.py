@@ -17,13 +17,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fringed.errors import (
         ArgumentError,
+        CodecMissingError,
         ControlError,
         FringedError,
         KeyFileError,
         NoDaemonError,
         NotLiveError,
+        OverwrittenError,
         RecordingError,
         RefusedError,
+        SharedMemoryError,
         SilenceError,
         WireError,
     )
@@ -38,17 +41,20 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ArgumentError",
+    "CodecMissingError",
     "ControlError",
     "FringedError",
     "KeyFileError",
     "Keys",
     "NoDaemonError",
     "NotLiveError",
+    "OverwrittenError",
     "Preview",
     "ReceivedCloud",
     "RecordingError",
     "RefusedError",
     "Rig",
+    "SharedMemoryError",
     "SilenceError",
     "Source",
     "StoredCloud",

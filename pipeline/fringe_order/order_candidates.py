@@ -30,8 +30,8 @@ _MOST_TEXTURE = np.float32(0.4)
 """Less than COST_UNOBSERVED: on narrow bars every pixel is mixed with what is beside it, differently in both images."""
 _MAX_PHASE_CHANGE = np.float32(2.0)
 """Largest change of a pixel's absolute phase from one pair to the next for which the prior is used, radians."""
-_ZERO, _HALF, _ONE, _TWO, _EIGHT = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(8)
-_TURN, _PER_TURN, _TINY = np.float32(2 * pi), np.float32(0.5 / pi), np.float32(1e-20)
+_ZERO, _HALF, _ONE, _EIGHT = np.float32(0), np.float32(0.5), np.float32(1), np.float32(8)
+_TURN, _PER_TURN = np.float32(2 * pi), np.float32(0.5 / pi)
 
 # Slots of the scratch array of floats (tables take three each), and of the one of integers.
 _PHI, _BIAS, _MEAN, _MOVE = (k * TILE for k in range(4))

@@ -111,17 +111,18 @@ def from_mapping(data: Mapping[str, Any]) -> ColorFringe:
     kind = data.get("kind")
     if kind != "color_fringe":
         raise PatternError(f"pattern.kind is {kind!r}; this program measures 'color_fringe'")
-    width, height = _field(data, "size", lambda value: [int(n) for n in _items(value, 2)], "width and height, pixels")
-    shifts = _field(data, "shifts", lambda value: [float(value[name]) for name in _CHANNELS], "red, green, blue (rad)")
-    periods, mean, amplitude = (_field(data, key, float, "a number") for key in ("periods", "mean", "amplitude"))
+    width, height = field(data, "size", lambda value: [int(n) for n in items(value, 2)], "width and height, pixels")
+    shifts = field(data, "shifts", lambda value: [float(value[name]) for name in _CHANNELS], "red, green, blue (rad)")
+    periods, mean, amplitude = (field(data, key, float, "a number") for key in ("periods", "mean", "amplitude"))
     profile = None
     if data.get("profile") is not None:
-        profile = _field(data, "profile", lambda value: np.array(value, dtype=np.float64), "the phase of every column")
+        profile = field(data, "profile", lambda value: np.array(value, dtype=np.float64), "the phase of every column")
     axis = data.get("axis", "x")
     return ColorFringe((width, height), periods, axis, mean, amplitude, (shifts[0], shifts[1], shifts[2]), profile)
 
 
-def _field(data: Mapping[str, Any], key: str, read: Callable[[Any], T], expected: str) -> T:
+def field(data: Mapping[str, Any], key: str, read: Callable[[Any], T], expected: str) -> T:
+    """What ``read`` makes of a value of a pattern description; PatternError names its key."""
     if key not in data:
         raise PatternError(f"pattern.{key} is missing")
     try:
@@ -130,11 +131,12 @@ def _field(data: Mapping[str, Any], key: str, read: Callable[[Any], T], expected
         raise PatternError(f"pattern.{key} is {reprlib.repr(data[key])}, expected {expected}") from error
 
 
-def _items(value: Any, number: int) -> list[Any]:
-    items = list(value)
-    if len(items) != number:
-        raise ValueError(f"{len(items)} items")
-    return items
+def items(value: Any, number: int) -> list[Any]:
+    """A list of so many items, or ValueError."""
+    found = list(value)
+    if len(found) != number:
+        raise ValueError(f"{len(found)} items")
+    return found
 
 
 def modulated_profile(length: int, periods: float, *, depth: float = 0.15, seed: int = 0) -> Array:

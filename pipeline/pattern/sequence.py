@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from pipeline.common.errors import PatternError
-from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.color_fringe import ColorFringe, field, items
 from pipeline.pattern.color_fringe import from_mapping as fringe_from_mapping
 from pipeline.pattern.projected_frames import (
     CHANNELS,
@@ -93,28 +93,17 @@ def frame_from_mapping(data: Mapping[str, Any]) -> Frame:
         return frame
     if kind not in ("uniform", "fringe", "gray"):
         raise PatternError(f"pattern.kind is {kind!r:.80}, expected 'uniform', 'fringe', 'gray' or 'color_fringe'")
-    try:
-        width, height = (_whole(n, "size") for n in data["size"])
-        if kind == "uniform":
-            red, green, blue = (_whole(n, "color") for n in data["color"])
-            return Uniform((width, height), (red, green, blue))
-        if kind == "gray":
-            return _gray_bit((width, height), data)
-        return Fringe(
-            (width, height),
-            periods=float(data["periods"]),
-            axis=data.get("axis", "x"),
-            shift=float(data["shift"]),
-            mean=float(data["mean"]),
-            amplitude=float(data["amplitude"]),
-            channels=_names(data.get("channels", CHANNELS)),
-        )
-    except KeyError as error:
-        raise PatternError(f"pattern.{error.args[0]} is missing") from error
-    except PatternError:
-        raise
-    except (TypeError, ValueError) as error:
-        raise PatternError(f"pattern description: {error}") from error
+    width, height = field(data, "size", _whole_numbers(2), "width and height, whole numbers of pixels")
+    if kind == "uniform":
+        red, green, blue = field(data, "color", _whole_numbers(3), "three whole numbers")
+        return Uniform((width, height), (red, green, blue))
+    optional: dict[str, Any] = {"axis": "x", "channels": CHANNELS}
+    if kind == "gray":
+        optional |= {"inverted": False, "cells": 0.0, "mean": GRAY_MEAN, "amplitude": GRAY_AMPLITUDE}
+    required = ("bit", "bits") if kind == "gray" else ("periods", "shift", "mean", "amplitude")
+    data = optional | dict(data)
+    values = {key: field(data, key, *_VALUES[key]) for key in (*required, *optional)}
+    return GrayBit((width, height), **values) if kind == "gray" else Fringe((width, height), **values)
 
 
 def camera_sequence(size: tuple[int, int]) -> FrameSequence:
@@ -151,23 +140,6 @@ def projector_sequence(size: tuple[int, int], *, finest_px: float = 12.8, steps:
     return FrameSequence("projector", tuple(frames))
 
 
-def _gray_bit(size: tuple[int, int], data: Mapping[str, Any]) -> GrayBit:
-    inverted = data.get("inverted", False)
-    if not isinstance(inverted, bool):
-        raise PatternError(f"pattern.inverted is {inverted!r:.80}, expected true or false")
-    return GrayBit(
-        size,
-        bit=_whole(data["bit"], "bit"),
-        bits=_whole(data["bits"], "bits"),
-        inverted=inverted,
-        axis=data.get("axis", "x"),
-        cells=float(data.get("cells", 0.0)),
-        mean=float(data.get("mean", GRAY_MEAN)),
-        amplitude=float(data.get("amplitude", GRAY_AMPLITUDE)),
-        channels=_names(data.get("channels", CHANNELS)),
-    )
-
-
 def _frame_at(index: int, item: Any) -> Frame:
     try:
         return frame_from_mapping(item)
@@ -175,14 +147,34 @@ def _frame_at(index: int, item: Any) -> Frame:
         raise PatternError(str(error).replace("pattern", f"pattern.frames[{index}]", 1)) from error
 
 
-def _whole(value: Any, key: str) -> int:
+def _whole(value: Any) -> int:
     number = float(value)
     if not number.is_integer():
-        raise PatternError(f"pattern.{key} holds {value!r:.80}, expected whole numbers")
+        raise ValueError(value)
     return int(number)
+
+
+def _whole_numbers(count: int) -> Callable[[Any], list[int]]:
+    return lambda value: [_whole(item) for item in items(value, count)]
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(value)
+    return value
 
 
 def _names(value: Any) -> tuple[str, ...]:
     if isinstance(value, str) or not all(isinstance(name, str) for name in value):
-        raise PatternError(f"pattern.channels is {value!r:.80}, expected a list of names")
+        raise TypeError(value)
     return tuple(value)
+
+
+_VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
+    **dict.fromkeys(("bit", "bits"), (_whole, "a whole number")),
+    **dict.fromkeys(("periods", "shift", "mean", "amplitude", "cells"), (float, "a number")),
+    "inverted": (_flag, "true or false"),
+    "axis": (str, "'x' or 'y'"),
+    "channels": (_names, "a list of names"),
+}
+"""How the values of a frame are read, and what is expected of them."""

@@ -70,10 +70,10 @@ def test_a_bit_is_two_levels_of_light():
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        ({"bit": 3}, "pattern.bit is 3"), ({"bits": 14}, "pattern.bits is 14"), ({"bit": 0.5}, "pattern.bit holds"),
+        ({"bit": 3}, "pattern.bit is 3"), ({"bits": 14}, "pattern.bits is 14"), ({"bit": 0.5}, "pattern.bit is 0.5"),
         ({"inverted": 1}, "pattern.inverted"), ({"cells": 9}, "pattern.cells is 9"), ({"cells": -1}, "pattern.cells"),
         ({"axis": "z"}, "pattern.axis"), ({"mean": 1}, "pattern.mean"), ({"channels": ["pink"]}, "pattern.channels"),
-        ({"size": [0, 4]}, "pattern.size"), ({"bits": None}, "pattern description"),
+        ({"size": [0, 4]}, "pattern.size"), ({"bits": None}, "pattern.bits is None, expected a whole number"),
     ],
 )  # fmt: skip
 def test_a_bad_bit_is_refused_by_its_key(change, word):
