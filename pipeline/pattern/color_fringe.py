@@ -111,17 +111,23 @@ def from_mapping(data: Mapping[str, Any]) -> ColorFringe:
     kind = data.get("kind")
     if kind != "color_fringe":
         raise PatternError(f"pattern.kind is {kind!r}; this program measures 'color_fringe'")
-    width, height = field(data, "size", lambda value: [int(n) for n in items(value, 2)], "width and height, pixels")
-    shifts = field(data, "shifts", lambda value: [float(value[name]) for name in _CHANNELS], "red, green, blue (rad)")
-    periods, mean, amplitude = (field(data, key, float, "a number") for key in ("periods", "mean", "amplitude"))
+    width, height = read_field(
+        data, "size", lambda value: [int(n) for n in items(value, 2)], "width and height, pixels"
+    )
+    shifts = read_field(
+        data, "shifts", lambda value: [float(value[name]) for name in _CHANNELS], "red, green, blue (rad)"
+    )
+    periods, mean, amplitude = (read_field(data, key, float, "a number") for key in ("periods", "mean", "amplitude"))
     profile = None
     if data.get("profile") is not None:
-        profile = field(data, "profile", lambda value: np.array(value, dtype=np.float64), "the phase of every column")
+        profile = read_field(
+            data, "profile", lambda value: np.array(value, dtype=np.float64), "the phase of every column"
+        )
     axis = data.get("axis", "x")
     return ColorFringe((width, height), periods, axis, mean, amplitude, (shifts[0], shifts[1], shifts[2]), profile)
 
 
-def field(data: Mapping[str, Any], key: str, read: Callable[[Any], T], expected: str) -> T:
+def read_field(data: Mapping[str, Any], key: str, read: Callable[[Any], T], expected: str) -> T:
     """What ``read`` makes of a value of a pattern description; PatternError names its key."""
     if key not in data:
         raise PatternError(f"pattern.{key} is missing")

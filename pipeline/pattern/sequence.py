@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pipeline.common.errors import PatternError
-from pipeline.pattern.color_fringe import ColorFringe, field, items
+from pipeline.pattern.color_fringe import ColorFringe, items, read_field
 from pipeline.pattern.color_fringe import from_mapping as fringe_from_mapping
 from pipeline.pattern.projected_frames import (
     CHANNELS,
@@ -93,16 +93,16 @@ def frame_from_mapping(data: Mapping[str, Any]) -> Frame:
         return frame
     if kind not in ("uniform", "fringe", "gray"):
         raise PatternError(f"pattern.kind is {kind!r:.80}, expected 'uniform', 'fringe', 'gray' or 'color_fringe'")
-    width, height = field(data, "size", _whole_numbers(2), "width and height, whole numbers of pixels")
+    width, height = read_field(data, "size", _whole_numbers(2), "width and height, whole numbers of pixels")
     if kind == "uniform":
-        red, green, blue = field(data, "color", _whole_numbers(3), "three whole numbers")
+        red, green, blue = read_field(data, "color", _whole_numbers(3), "three whole numbers")
         return Uniform((width, height), (red, green, blue))
     optional: dict[str, Any] = {"axis": "x", "channels": CHANNELS}
     if kind == "gray":
         optional |= {"inverted": False, "cells": 0.0, "mean": GRAY_MEAN, "amplitude": GRAY_AMPLITUDE}
     required = ("bit", "bits") if kind == "gray" else ("periods", "shift", "mean", "amplitude")
     data = optional | dict(data)
-    values = {key: field(data, key, *_VALUES[key]) for key in (*required, *optional)}
+    values = {key: read_field(data, key, *_VALUES[key]) for key in (*required, *optional)}
     return GrayBit((width, height), **values) if kind == "gray" else Fringe((width, height), **values)
 
 
