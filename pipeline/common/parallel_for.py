@@ -166,5 +166,18 @@ def _without_owners(target: Any, builder: Any, kind: Any, value: Any) -> Any:
     return value
 
 
+@intrinsic
+def unowned(context: Any, value: Any) -> Any:  # noqa: ARG001
+    """An array, or a tuple of arrays, without an owner, for functions that several threads call with the same arrays.
+
+    The caller keeps the arrays alive while the result is used.
+    """
+
+    def generate(target: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ARG001
+        return _without_owners(target, builder, value, values[0])
+
+    return value(value), generate
+
+
 def _external(builder: Any, name: str, shape: Any) -> Any:
     return cgutils.get_or_insert_function(builder.module, shape, name)

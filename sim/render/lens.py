@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from pipeline.common.parallel_for import unowned
 from pipeline.rig.camera_model import CameraModel
+from sim.scene.jit import compiled, inline
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,7 @@ def packed(device: CameraModel) -> Array:
     return np.concatenate([np.asarray(part, dtype=np.float64) for part in parts])
 
 
-@njit(cache=True, nogil=True)
+@inline
 def distorted(d: Array, x: float, y: float) -> tuple[float, float]:
     """Distorted normalised point of an ideal one."""
     r2 = x * x + y * y
@@ -30,7 +31,7 @@ def distorted(d: Array, x: float, y: float) -> tuple[float, float]:
     )
 
 
-@njit(cache=True, nogil=True)
+@inline
 def pixel_of(d: Array, px: float, py: float, pz: float) -> tuple[float, float, float]:
     """Pixel (u, v) and depth of a world point; the depth is negative behind the device."""
     x = d[10] * px + d[11] * py + d[12] * pz + d[19]
@@ -42,7 +43,7 @@ def pixel_of(d: Array, px: float, py: float, pz: float) -> tuple[float, float, f
     return d[0] * xd + d[1] * yd + d[2], d[3] * yd + d[4], z
 
 
-@njit(cache=True, nogil=True)
+@inline
 def ray_of(d: Array, u: float, v: float) -> tuple[float, float, float]:
     """Unit direction in the world of the ray through a pixel."""
     yt = (v - d[4]) / d[3]
@@ -63,9 +64,10 @@ def ray_of(d: Array, u: float, v: float) -> tuple[float, float, float]:
     return wx * scale, wy * scale, wz * scale
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def pixel_rays(d: Array, first_row: int, rows: int, columns: int, step: float, left: float, top: float) -> Array:
     """Rays of samples at pixels (left + step j, top + step (first_row + i)), (rows * columns, 3)."""
+    d = unowned(d)
     out = np.empty((rows * columns, 3))
     for i in range(rows):
         for j in range(columns):
@@ -75,9 +77,10 @@ def pixel_rays(d: Array, first_row: int, rows: int, columns: int, step: float, l
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def pixels_of(d: Array, points: Array) -> Array:
     """Pixels of world points, (n, 3) -> (n, 2)."""
+    d = unowned(d)
     out = np.empty((len(points), 2))
     for k in range(len(points)):
         out[k, 0], out[k, 1], _ = pixel_of(d, points[k, 0], points[k, 1], points[k, 2])

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from sim.render.sensor import Light, noise_variance
 from sim.rig.optics import Optics
+from sim.scene.jit import compiled
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 _STARTS = 1 << 20
@@ -51,7 +51,7 @@ def deviation_of(counts: Light, optics: Optics) -> Light:
     return np.sqrt(noise_variance(counts, optics))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _read_out(
     counts: Light,
     deviation: Light,

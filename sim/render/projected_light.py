@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from pipeline.common.parallel_for import unowned
 from sim.render.lens import pixel_of
 from sim.rig.optics import Optics
+from sim.scene.jit import compiled, inline
 from sim.scene.ray_intersection import Table
 from sim.scene.texture import albedo
 
@@ -28,13 +29,13 @@ def projected_light(image: NDArray[np.uint8], optics: Optics) -> NDArray[np.floa
     return np.ascontiguousarray(light, dtype=np.float32)
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _spline(f: float) -> tuple[float, float, float]:
     """Weights of three neighbours at an offset of -0.5..0.5 from the middle one."""
     return 0.5 * (0.5 - f) ** 2, 0.75 - f * f, 0.5 * (0.5 + f) ** 2
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _sample(light: NDArray[np.float32], u: float, v: float, channel: int) -> float:
     """Light of one channel at a position in the projector image; 0 outside."""
     rows, columns = light.shape[0], light.shape[1]
@@ -53,7 +54,7 @@ def _sample(light: NDArray[np.float32], u: float, v: float, channel: int) -> flo
     return total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def shade(
     s: Table,
     points: Array,
@@ -67,6 +68,7 @@ def shade(
     ambient: float,
 ) -> NDArray[np.float32]:
     """Light reflected by surface points, (n, 3), 0..255; 0 without a hit."""
+    s, projector, light = unowned(s), unowned(projector), unowned(light)
     out = np.zeros((len(points), 3), np.float32)
     for k in range(len(points)):
         i = which[k]

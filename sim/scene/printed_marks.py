@@ -9,8 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from pipeline.common.parallel_for import unowned
+from sim.scene.jit import compiled, inline
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -99,13 +101,13 @@ def darken(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _inside(distance: float, width: float) -> float:
     """Fraction of a window that lies inside an edge at a signed distance from its middle."""
     return min(max(0.5 + distance / min(width, 2 * _GUARD_MM), 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _disc(disc: Array, x: float, y: float, slope_x: float, slope_y: float, width: float) -> float:
     ax, ay = x - disc[0], y - disc[1]
     away = np.sqrt(ax * ax + ay * ay)
@@ -116,14 +118,14 @@ def _disc(disc: Array, x: float, y: float, slope_x: float, slope_y: float, width
     return _inside(disc[2] - away, width * np.sqrt(1 + along * along))
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _square(square: Array, x: float, y: float, wide: float, high: float) -> float:
     across = _inside(x - square[0], wide) - _inside(x - square[2], wide)
     down = _inside(y - square[1], high) - _inside(y - square[3], high)
     return max(across * down, 0.0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _darken(
     light: NDArray[np.float32],
     points: Array,
@@ -139,6 +141,7 @@ def _darken(
     first: Ints,
     items: Ints,
 ) -> None:
+    discs, squares = unowned(discs), unowned(squares)
     columns, rows = int(grid[3]), int(grid[4])
     for k in range(len(points)):
         if not on_rectangle[k]:

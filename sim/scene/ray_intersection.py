@@ -8,8 +8,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from pipeline.common.parallel_for import unowned
+from sim.scene.jit import compiled, inline
 
 Array = NDArray[np.float64]
 Hit = tuple[float, float, float, float]
@@ -33,13 +35,13 @@ class Table(NamedTuple):
     texture: Array
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _bump(exponent: float) -> float:
     """``exp(-exponent)``, or 0 where that is negligible."""
     return np.exp(-exponent) if exponent < 20 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def relief_height(variant: float, p: float, q: float) -> float:
     """Height of a relief over its ellipse, as a share of its depth; (p, q) = (x/a, y/b), q grows downwards."""
     r2 = p * p + q * q
@@ -62,7 +64,7 @@ def relief_height(variant: float, p: float, q: float) -> float:
     return rim * (1 + 0.65 * r2 + h)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def relief_heights(variant: float, p: Array, q: Array) -> Array:
     """:func:`relief_height` at the places of two tables, without a call from Python for each."""
     out = np.empty_like(p)
@@ -72,7 +74,7 @@ def relief_heights(variant: float, p: Array, q: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _rectangle(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Hit:
     if abs(dz) < 1e-12:
         return _INF, 0.0, 0.0, 0.0
@@ -82,7 +84,7 @@ def _rectangle(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, 
     return t, 0.0, 0.0, -1.0 if dz > 0 else 1.0
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _sphere(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Hit:
     b = ox * dx + oy * dy + oz * dz
     # The distance of the ray to the centre, without the cancellation of b^2 - c.
@@ -99,7 +101,7 @@ def _sphere(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz:
     return t, (ox + t * dx) / m[0], (oy + t * dy) / m[0], (oz + t * dz) / m[0]
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _slab(o: float, d: float, half: float) -> tuple[float, float]:
     if abs(d) < 1e-12:
         return (-_INF, _INF) if abs(o) <= half else (_INF, -_INF)
@@ -107,7 +109,7 @@ def _slab(o: float, d: float, half: float) -> tuple[float, float]:
     return (a, b) if a < b else (b, a)
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _box(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Hit:
     ax, bx = _slab(ox, dx, m[0])
     ay, by = _slab(oy, dy, m[1])
@@ -122,7 +124,7 @@ def _box(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: fl
     return near, 0.0, 0.0, -np.sign(dz)
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _cylinder(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Hit:
     a = dx * dx + dz * dz
     top, bottom = _slab(oy, dy, m[1])
@@ -145,7 +147,7 @@ def _cylinder(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, d
     return near, (ox + near * dx) / m[0], 0.0, (oz + near * dz) / m[0]
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _ellipse_span(m: Array, ox: float, oy: float, dx: float, dy: float) -> tuple[float, float]:
     """Where a ray is inside the elliptic cylinder |(x/a, y/b)| < 1."""
     px, py, ex, ey = ox / m[0], oy / m[1], dx / m[0], dy / m[1]
@@ -159,7 +161,7 @@ def _ellipse_span(m: Array, ox: float, oy: float, dx: float, dy: float) -> tuple
     return (-b - root) / a, (-b + root) / a
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _relief(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, floor: float) -> Hit:
     """The solid between z = 0 and z = -depth h(x/a, y/b); dims: a, b, depth, variant, steepest slope, highest point.
 
@@ -194,7 +196,7 @@ def _relief(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz:
     return _INF, 0.0, 0.0, 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _relief_normal(m: Array, x: float, y: float) -> tuple[float, float, float]:
     e = 1e-4
     hx = relief_height(m[3], x / m[0] + e, y / m[1]) - relief_height(m[3], x / m[0] - e, y / m[1])
@@ -204,7 +206,7 @@ def _relief_normal(m: Array, x: float, y: float) -> tuple[float, float, float]:
     return gx * scale, gy * scale, scale
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _meet(s: Table, i: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, floor: float) -> Hit:
     """The ray against shape i; origin and direction in the world, the normal in the shape's frame."""
     cx, cy, cz = ox - s.translation[i, 0], oy - s.translation[i, 1], oz - s.translation[i, 2]
@@ -231,10 +233,10 @@ def _meet(s: Table, i: int, ox: float, oy: float, oz: float, dx: float, dy: floa
     return _relief(dims, lx, ly, lz, ex, ey, ez, floor)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def nearest(s: Table, origin: Array, rays: Array) -> tuple[Array, NDArray[np.int64], Array]:
     """First hits of rays from one origin: distance (n,) mm, shape (n,) or -1, unit normal (n, 3) in the world."""
-    n = len(rays)
+    s, n = unowned(s), len(rays)
     distance, which, normal = np.full(n, _INF), np.full(n, -1), np.zeros((n, 3))
     for k in range(n):
         dx, dy, dz = rays[k, 0], rays[k, 1], rays[k, 2]
@@ -250,9 +252,10 @@ def nearest(s: Table, origin: Array, rays: Array) -> tuple[Array, NDArray[np.int
     return distance, which, normal
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def visible(s: Table, points: Array, normals: Array, viewer: Array) -> NDArray[np.bool_]:
     """Which surface points a viewer sees past all analytic shapes, (n,); NaN points are not visible."""
+    s, points, normals = unowned(s), unowned(points), unowned(normals)
     seen = np.zeros(len(points), np.bool_)
     for k in range(len(points)):
         x, y, z = (

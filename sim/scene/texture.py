@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from sim.scene.jit import inline
 
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _hash(x: int, y: int, z: int, seed: int) -> int:
     """Hash of a lattice point, 30 bits."""
     h = np.uint64(x & 0xFFFFFFFF) * np.uint64(0x9E3779B1) + np.uint64(y & 0xFFFFFFFF) * np.uint64(0x85EBCA77)
@@ -22,12 +23,12 @@ def _hash(x: int, y: int, z: int, seed: int) -> int:
     return int(h & np.uint64(0x3FFFFFFF))
 
 
-@njit(cache=True, nogil=True)
+@inline
 def _fade(f: float) -> float:
     return f * f * f * (f * (6 * f - 15) + 10)
 
 
-@njit(cache=True, nogil=True)
+@inline
 def noise(x: float, y: float, z: float, seed: int) -> tuple[float, float, float]:
     """Three independent smooth random functions of a position, each -1..1, with a grain of one unit."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
@@ -43,7 +44,7 @@ def noise(x: float, y: float, z: float, seed: int) -> tuple[float, float, float]
     return red / 511.5 - 1, green / 511.5 - 1, blue / 511.5 - 1
 
 
-@njit(cache=True, nogil=True)
+@inline
 def albedo(base: Array, texture: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Albedo R G B at a position on the shape, mm.
 
