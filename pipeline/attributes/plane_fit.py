@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import inline, serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.prefetch import LINE, prefetch
 from pipeline.common.tile_math import root
 
@@ -207,7 +207,7 @@ def _fill(row: Any, count: int, value: Any) -> None:
         row[j] = value
 
 
-@parallel
+@parallel_allocating
 def fit_normals(
     tile: int, xyz: Any, sigma: Any, tiles: int, reference: Any, unit: Any, reach: Any, curved: Any, out: Any
 ) -> None:  # fmt: skip

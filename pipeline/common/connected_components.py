@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import blocks, parallel
+from pipeline.common.parallel_for import blocks, parallel, parallel_allocating
 
 LEFT, UP = np.uint8(1), np.uint8(2)
 """Bits of a link: the pixel continues its left neighbour, the one above it."""
@@ -55,7 +55,7 @@ def _events(valid: Any, joined: Any, joined_above: Any, touching: Any, out: Any)
         out[j] = begins | (fresh << 1) | (ends << 2)
 
 
-@parallel
+@parallel_allocating
 def find_runs(band: int, valid: Any, link: Any, start: Any, stop: Any, contact: Any, count: Any) -> None:
     """Runs of every row, and the columns in which they begin to touch runs of the row above.
 

@@ -21,7 +21,7 @@ from numba.core.types.containers import BaseTuple, Tuple
 from numba.extending import intrinsic
 from numba.np.ufunc import parallel as pool
 
-from pipeline.common.jit import body, serial
+from pipeline.common.jit import allocating, allocating_body, body
 
 CHUNKS = 8
 """Chunks of indices per thread."""
@@ -35,7 +35,8 @@ class ParallelFor:
     from compiled code.
     """
 
-    def __init__(self, function: Callable[..., None]) -> None:
+    def __init__(self, function: Callable[..., None], decorator: Any) -> None:
+        self.body = decorator(function)
         self.py_func = function
         self.__name__, self.__doc__ = function.__name__, function.__doc__
         # The loop's own function belongs to the body's file, under which numba's cache keeps it.
@@ -44,9 +45,9 @@ class ParallelFor:
             co_firstlineno=function.__code__.co_firstlineno,
             co_name=f"{function.__name__}_loop",
         )
-        loop = FunctionType(code, {"driver": _driver(body(function))}, f"{function.__name__}_loop")
+        loop = FunctionType(code, {"driver": _driver(self.body)}, f"{function.__name__}_loop")
         loop.__module__, loop.__qualname__ = function.__module__, f"{function.__name__}_loop"
-        self.dispatcher = serial(loop)
+        self.dispatcher = allocating(loop)
 
     def __call__(self, count: int, *arguments: Any) -> None:
         """Run the loop.
@@ -62,7 +63,12 @@ class ParallelFor:
 
 def parallel(function: Callable[..., None]) -> ParallelFor:
     """Make a function of an index and arguments a :class:`ParallelFor`."""
-    return ParallelFor(function)
+    return ParallelFor(function, body)
+
+
+def parallel_allocating(function: Callable[..., None]) -> ParallelFor:
+    """The same for a function that allocates arrays or calls one that does."""
+    return ParallelFor(function, allocating_body)
 
 
 def blocks(count: int, size: int) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 
 _TILE = 16
 _SAMPLES = _TILE * _TILE
@@ -64,7 +64,7 @@ def _add_row(first: Any, middle: Any, last: Any, levels: Any, squares: Any, larg
         largest[j] = max(largest[j], middle[j])
 
 
-@parallel
+@parallel_allocating
 def _tiles(
     band: int, image: Any, colors: int, rows: int, shift: int, levels: Any, squares: Any, largest: Any
 ) -> None:  # fmt: skip

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import inline, serial
-from pipeline.common.parallel_for import blocks, parallel
+from pipeline.common.parallel_for import blocks, parallel_allocating
 from pipeline.filter.blurred_steps import steps_of_row
 from pipeline.filter.depth_clusters import link_row
 
@@ -134,7 +134,7 @@ def _bends_of_row(depth: Any, k: int, near: int, half_order: Any, sigma: Any, ro
         out[j] *= SHARE
 
 
-@parallel
+@parallel_allocating
 def _bends(
     block: int, stride: int, per_order: Any, least: Any, most: Any, xyz: Any, sigma: Any, bends: Any, known: Any,
     link: Any,
@@ -174,7 +174,7 @@ def _add_clear(most: Any, own: Any, sigma: Any) -> None:
         sigma[j] = np.float32(sqrt(square + (most[j] if most[j] > CLEAR * square else own[j])))
 
 
-@parallel
+@parallel_allocating
 def _widen(block: int, stride: int, bends: Any, sigma: Any) -> None:
     """Add the bends, or the largest clear one within :data:`SPREAD` pixels, to the variance of :data:`ROWS` rows."""
     height, width = bends.shape[0] - 2 * SPREAD, bends.shape[1] - 2 * SPREAD

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.common.jit import serial
 from pipeline.common.median import median
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.match.match_result import MatchResult
 
 RADIUS = 3
@@ -65,7 +65,7 @@ def _agreeing(
         out[j] = here if near & small & (np.uint16(4 * n[j]) >= np.uint16(window[j])) else _NO
 
 
-@parallel
+@parallel_allocating
 def local_outliers(
     band: int, valid: Any, first: Any, second: Any, limit: int, largest: int, mean: int, out: Any
 ) -> None:
@@ -193,7 +193,7 @@ def _mixed(label: Any, modulation: Any, i: int, j: int, share: Any) -> bool:
     return border and np.float32(modulation[i, j]) < share * np.float32(best)
 
 
-@parallel
+@parallel_allocating
 def drop_mixed_edges(band: int, label: Any, modulation: Any, share: Any, out: Any) -> None:
     """Surfaces without the pixels at their border whose modulation falls below a share of that next to them.
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from pipeline.common.jit import serial
 from pipeline.common.median import median
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.filter.texture_agreement import MISFIT_STEPS
 from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS, MatchResult
 
@@ -135,7 +135,7 @@ def _widen_row(
         sigma[j] *= np.float32(sqrt(one + (bias * b * b + misfit_share * e * e + more) / variance[j]))
 
 
-@parallel
+@parallel_allocating
 def widen_sigma(
     block: int, misfit: Any, match: Any, variance: Any, shares: Any, slopes: Any, stride: int, sigma: Any
 ) -> None:  # fmt: skip

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
 from pipeline.common.median import median
-from pipeline.common.parallel_for import blocks, parallel
+from pipeline.common.parallel_for import blocks, parallel_allocating
 from pipeline.match.match_result import PIXEL_STEPS, MatchResult
 
 DEVIATION_STEPS = 16
@@ -124,7 +124,7 @@ def deviations_of_row(valid: Any, mean: Any, amplitude: Any, right: Any, s: Any,
         misfit[j] = np.uint8(min(e, np.float32(255.0)))
 
 
-@parallel
+@parallel_allocating
 def _compare(
     block: int, valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, right_mean: Any, right_amplitude: Any,
     width: int, scale: Any, deviation: Any, misfit: Any,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import blocks, parallel
+from pipeline.common.parallel_for import blocks, parallel, parallel_allocating
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.pixel_descriptor import bias_of
 from pipeline.fringe_order.semi_global_aggregation import NONE
@@ -118,7 +118,7 @@ def _other_absolute_row(
         flattened_row(order[p - 2], top + down * (p - 2), left, step, phase, slope_x, slope_y, out[p, 2 : m + 2])
 
 
-@parallel
+@parallel_allocating
 def _cross_check(
     block: int, order: Any, top: int, down: int, left: int, step: int, lines: Any, axis: int, phase: Any,
     descriptors: Any, other_absolute: Any, other_top: int, other_down: int, other_left: int, other_step: int,

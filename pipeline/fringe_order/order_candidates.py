@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import inline
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE, clamped, decay, whole_turns
 from pipeline.decode.pixel_descriptor import RADIANS, VALID, bias_of, mean_of, normalised_units, phase_units, units
 
@@ -177,7 +177,7 @@ def candidate_costs(
         t[_COST + j] = cost if t[_COST + j] == _ZERO else _COST_OUTSIDE
 
 
-@parallel
+@parallel_allocating
 def order_limits(k: int, stride: int, along: Any, limits: Any, phases: Any, correction: Any, rays: Any) -> None:
     """The last two numbers of ``rays`` (h, w, RAY) float32, from each ray's range of s; the second < the first: none.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import inline, serial
-from pipeline.common.parallel_for import blocks, parallel
+from pipeline.common.parallel_for import blocks, parallel_allocating
 from pipeline.decode.decoder import PhaseMap
 from pipeline.fringe_order.left_right_check import UNDECIDED, flattened_row
 from pipeline.geometry.view_tables import View
@@ -65,7 +65,7 @@ def _least_deviating(
         out[j] = np.int16(np.int32(order)) if valid[j] else UNDECIDED
 
 
-@parallel
+@parallel_allocating
 def _propagate(
     block: int, order: Any, top: int, down: int, left: int, step: int, phase: Any, valid: Any, slope_x: Any,
     slope_y: Any, lowest: int, strips: int, out: Any,

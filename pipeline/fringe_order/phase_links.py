@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import inline, serial
+from pipeline.common.jit import allocating, inline, serial
 from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import decay, whole_turns
 
@@ -71,7 +71,7 @@ def _limited_factor(histogram: Any) -> Any:
     return np.float32(CONTRAST * ratio * ratio)
 
 
-@serial
+@allocating
 def contrast_factors(
     brightness: Any, valid: Any, i0: int, down: int, h: int, j0: int, step: int, w: int
 ) -> tuple[Any, Any]:

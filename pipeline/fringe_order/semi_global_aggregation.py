@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import inline, ordered
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.fringe_order.label_vectors import advance, least_two
 from pipeline.fringe_order.order_candidates import COST_IMPOSSIBLE
 
@@ -78,7 +78,7 @@ def along_row(
             old, new, last = new, old, count[b]
 
 
-@parallel
+@parallel_allocating
 def along_columns(
     group: int, costs: Any, place: Any, first: Any, count: Any, jump: Any, weight: Any, penalty: Any, labels: int,
     margin: Any, total: Any, order: Any, confident: Any,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel, parallel_allocating
 from pipeline.common.tile_math import TILE
 
 from pipeline.fringe_order.order_candidates import (  # isort: skip
@@ -26,7 +26,7 @@ _FEW = 8
 _TURN, _NAN, _ZERO = np.float32(2 * np.pi), np.float32(np.nan), np.float32(0)
 
 
-@parallel
+@parallel_allocating
 def search_rows(
     strip: int, top: int, down: int, left: int, step: int, stride: int, rays: Any,
     phase: Any, descriptors: Any, valid: Any, brightness: Any, contrast: Any, other_descriptors: Any,

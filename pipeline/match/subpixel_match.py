@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.match.epipolar_search import OK
 from pipeline.match.tile_match import load, match_tile, scratch, store_phases, store_places, store_points
@@ -23,7 +23,7 @@ ROWS = 8
 _ZERO, _ONE = np.float32(0), np.float32(1)
 
 
-@parallel
+@parallel_allocating
 def refine(
     block: int, order: Any, rays_x: Any, rays_y: Any, phase: Any, descriptors: Any, phasor: Any, variance: Any,
     other: Any, other_variance: Any, model: Any, stride: int, xyz: Any, sigma: Any, valid: Any, right_u: Any,

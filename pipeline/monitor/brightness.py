@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import allocating
 from pipeline.monitor.polynomial import quadratic, waves
 
 TEXTURE = 8
@@ -22,7 +22,7 @@ EDGE = 2
 """Pixels around a patch for smoothing and gradients."""
 
 
-@serial
+@allocating
 def brightness(image: Any, mosaic: Any, black: Any, top: int, left: int, rows: int, columns: int, q: Any,
                 centre_u: float, centre_v: float, half_u: float, half_v: float, light: Any, scratch: Any,
                 raw: Any, out: Any) -> None:  # fmt: skip
@@ -64,7 +64,7 @@ def brightness(image: Any, mosaic: Any, black: Any, top: int, left: int, rows: i
             out[i, j] = (a[j - 1] + two * a[j] + a[j + 1]) / max(b[j - 1] + two * b[j] + b[j + 1], one)
 
 
-@serial
+@allocating
 def compare(left: Any, right: Any, rows: int, columns: int, q: Any, half_u: float, half_v: float, origin_u: float,
              origin_v: float, right_rows: int, right_columns: int, out: Any) -> bool:  # fmt: skip
     """The sums :data:`TEXTURE` of a patch; False when the right rectangle does not contain it.

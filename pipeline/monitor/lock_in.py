@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import allocating, serial
 from pipeline.monitor.polynomial import solved, waves
 
 LIGHT = 3
@@ -67,7 +67,7 @@ def _row_sums(values: Any, cosine: Any, sine: Any, first: int, step: int, n: int
     sums[4] += ssi
 
 
-@serial
+@allocating
 def lock_in(image: Any, mosaic: Any, top: int, left: int, rows: int, columns: int, q: Any, centre_u: float,
              centre_v: float, half_u: float, half_v: float, clip: int, scratch: Any, matrix: Any, right: Any,
              out: Any) -> bool:  # fmt: skip

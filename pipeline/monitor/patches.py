@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import project, serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.jit import allocating, project
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.monitor.brightness import EDGE, brightness, compare
 from pipeline.monitor.lock_in import lock_in
 from pipeline.monitor.polynomial import QUADRATIC, fit_quadratic, quadratic
@@ -26,7 +26,7 @@ _LEAST_VALID = 0.85
 _LARGEST_ROUGHNESS = 0.2  # rad rms about the polynomial
 
 
-@serial
+@allocating
 def measure_patches(
     left: Any, right: Any, mosaic: Any, black: Any, xyz: Any, origins: Any, columns: int, rows: int, projector: Any,
     other: Any, phases: Any, first: int, clip: int, good: Any, shape: Any, light: Any, texture: Any,
@@ -130,7 +130,7 @@ def measure_patches(
             shape[k, 13] = np.sqrt(max(texture[k, 6], 0.0) / (rows * ((columns - 1) // 2)))
 
 
-@parallel
+@parallel_allocating
 def measure_group(
     group: int, left: Any, right: Any, mosaic: Any, black: Any, xyz: Any, origins: Any, columns: int, rows: int,
     projector: Any, other: Any, phases: Any, first: int, clip: int, good: Any, shape: Any, light: Any, texture: Any,

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.jit import allocating
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import angle, clamped, root
 
 BIT_STEPS = np.float32(64.0)
@@ -21,7 +21,7 @@ _ZERO, _ONE, _TINY = np.float32(0), np.float32(1), np.float32(1e-12)
 _MOST = np.float32(127)
 
 
-@serial
+@allocating
 def load_row(
     stack: Any, i: int, channels: int, scale: float, black: Any, share: Any, saturation: float, row: Any
 ) -> int:
@@ -75,7 +75,7 @@ def load_row(
     return found
 
 
-@parallel
+@parallel_allocating
 def phases(
     i: int, stack: Any, channels: int, scale: float, black: Any, share: Any, saturation: float, floor: float, gain:
     float, index: Any, first: Any, solve: Any, rest: Any, rest_first: Any, harmonic: Any, bit_index: Any, bit_sign: Any,

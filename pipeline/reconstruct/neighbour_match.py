@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.common.jit import inline, serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.jit import allocating, serial
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, deviations_of_row, right_values_of_row
 from pipeline.match.epipolar_search import OK
@@ -83,7 +83,7 @@ class _Tile(NamedTuple):
     values: Any
 
 
-@inline
+@allocating
 def _empty_tile() -> Any:
     f, i = np.float32, np.int32
     return _Tile(
@@ -121,7 +121,7 @@ def _match_gathered(pixels: Any, left: Any, right: Any, model: Any, scales: Any,
     )  # fmt: skip
 
 
-@parallel
+@parallel_allocating
 def match_neighbours(
     block: int, order: Any, left: Any, right: Any, model: Any, scales: Any, slope: Any, stride: int, xyz: Any,
     sigma: Any, valid: Any, right_u: Any, right_v: Any, projector_u: Any, projector_v: Any, absolute_phase: Any,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.decode.kernels.chromatic_correction import correct_means
 from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
 from pipeline.decode.kernels.local_normalisation import balance_of_row, normalised_row
@@ -26,7 +26,7 @@ BANDS = 12
 _HALF, _MOST = np.float32(0.5), np.float32(255)
 
 
-@parallel
+@parallel_allocating
 def rough_colors(y: int, image: Any, mosaic: Any, out: Any) -> None:
     """All three colours of row y of a mosaic (H, W) uint8, in eighths of a count: out (H, 3 W) uint16."""
     height, width = image.shape
@@ -68,7 +68,7 @@ def _colors_of_row(brightness: Any, balance: Any, out: Any) -> None:
         out[3 * j + 2] = np.uint8(np.int32(min(b / by2[j] + _HALF, _MOST)))
 
 
-@parallel
+@parallel_allocating
 def color_texture(
     band: int, image: Any, unit: float, black: Any, unmix: Any, ideal: Any, along: int, over: int, drops: Any,
     scale: float, chromatic: Any, table_step: int, out: Any,

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.jit import allocating, serial
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.decode.kernels.chromatic_correction import (
     DESIGN_ROWS,
@@ -56,7 +56,7 @@ def _design_rows(mosaic: Any, rows: Any, out: Any) -> None:
             out[k, j] = rows[mosaic[k // 3, j & 1], k % 3]
 
 
-@serial
+@allocating
 def _first_guess(image: Any, y: int, mosaic: Any, padded: Any, cache: Any, cached_rows: Any) -> Any:
     """First guess of row y, (3 W,) uint16, from the cache or computed.
 
@@ -115,7 +115,7 @@ def _continue_row(units: Any, row: int, inwards: int) -> None:
     continue_row(units[a], units[RING + a], units[b], units[RING + b], units[c], units[RING + c])
 
 
-@parallel
+@parallel_allocating
 def decode_bayer(
     band: int, image: Any, mosaic: Any, rows: Any, black: Any, solution: Any, mix: Any, light: Any, unmix: Any,
     ideal: Any, weights: Any, radius: int, nominal: Any, saturation: float, floor: float, gain: float,

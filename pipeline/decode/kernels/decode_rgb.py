@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.decode.kernels.chromatic_correction import correct_means, correct_phasors, units_of_row
 from pipeline.decode.kernels.color_gains import BLOCK, balanced_row, gains_of_row, widen_at_changes
@@ -103,7 +103,7 @@ def _sums_across(
                  nominal[2], nominal[3], weights[2], w, c, s, a, v)  # fmt: skip
 
 
-@parallel
+@parallel_allocating
 def decode_rgb(
     band: int, image: Any, black: Any, solve: Any, mix: Any, light: Any, unmix: Any, ideal: Any, weights: Any,
     radius: int, nominal: Any, saturation: float, floor: float, gain: float, min_modulation: float, along: int,

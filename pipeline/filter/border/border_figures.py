@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.common.jit import inline, serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.jit import allocating, inline, serial
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.filter.border.border_model import FIGURES
 from pipeline.filter.border.border_pixels import REACH, ROWS, distance_right, pixels_of_band
@@ -120,7 +120,7 @@ def _plane(t: Any) -> None:
         t[RMS * TILE + m] = np.float32(sqrt(max(squares, zero) / max(n, one)))
 
 
-@serial
+@allocating
 def figures(p: Any, losses: Any, stride: int, per_order: Any, at: Any, t: Any) -> None:
     """The figures of up to TILE pixels, into the slots from OUT on.
 
@@ -189,13 +189,13 @@ def _compare(t: Any, per_order: Any, per_stride: Any) -> None:
         t[(OUT + 14) * TILE + m] = t[BESIDE_RIGHT * TILE + m]
 
 
-@inline
+@allocating
 def figures_of(t: Any) -> Any:
     """The figures of :func:`figures` as (FIGURES, TILE), a view."""
     return t[OUT * TILE :].reshape(FIGURES, TILE)
 
 
-@parallel
+@parallel_allocating
 def border_figures(band: int, planes: Any, losses: Any, stride: int, per_order: Any, out: Any) -> None:
     """The figures of every border pixel of a band, (H, W, FIGURES) float32, NaN elsewhere, to fit the model to."""
     at = np.empty((ROWS * planes.label.shape[1] + 1, 2), np.int32)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import allocating, serial
 from pipeline.match.match_result import PIXEL_STEPS
 
 REACH = 2
@@ -81,7 +81,7 @@ def border_of_row(label: Any, right_u: Any, i: int, across: Any, down: Any, out:
     out[:REACH], out[width - REACH :] = _NO, _NO
 
 
-@serial
+@allocating
 def pixels_of_band(label: Any, right_u: Any, band: int, at: Any) -> int:
     """Border pixels of a band into ``at`` (ROWS W + 1, 2) int32, rows and columns; their number."""
     height, width = label.shape

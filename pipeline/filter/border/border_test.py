@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.jit import allocating, serial
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.filter.border.border_figures import SLOTS, figures, figures_of
 from pipeline.filter.border.border_model import FIGURES
@@ -28,7 +28,7 @@ def largest_odds(probability: float) -> np.float32:
     return np.float32(log(probability / (1 - probability)) if probability < 1 else np.inf)
 
 
-@serial
+@allocating
 def log_odds(x: Any, wrong: Any, out: Any) -> None:
     """Logarithms of the odds that points are wrong, (TILE,).
 
@@ -59,7 +59,7 @@ def log_variance(x: Any, spread: Any, out: Any) -> None:
             out[m] += x[k, m] * (linear + square * x[k, m])
 
 
-@parallel
+@parallel_allocating
 def border_test(
     band: int, planes: Any, losses: Any, stride: int, per_order: Any, model: Any, limit: Any, valid: Any, misfit: Any,
     sigma: Any,

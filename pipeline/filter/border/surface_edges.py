@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.filter.local_outliers import RADIUS
 
 _NO = np.uint8(0)
@@ -71,7 +71,7 @@ def _agrees_with_projector(label: Any, first: Any, second: Any, i: int, j: int, 
     return squares <= n * calm
 
 
-@parallel
+@parallel_allocating
 def edge_test(
     block: int, label: Any, deviation: Any, losses: Any, high: int, limit: Any, per_neighbour: Any, misfit_of: Any,
     first: Any, second: Any, calm: int, misfit: Any, valid: Any,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import inline, serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import root
 from pipeline.filter.cloud.block_rows import BLOCKS, LONGEST, SPACING, deal, split
 from pipeline.filter.cloud.surface_tangent import NEVER, ON_PLANE, slope
@@ -131,7 +131,7 @@ def _add(
         s[_COUNT + j] += _ONE if on else _ZERO
 
 
-@parallel
+@parallel_allocating
 def downsample(
     a: int, n: int, q: Any, variance: Any, pitch: Any, points: Any, sigmas: Any, filled: Any, inflation: Any, xyz: Any,
     sigma: Any, interpolated: Any,

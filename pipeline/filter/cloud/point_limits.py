@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel, parallel_allocating
 
 _NAN = np.float32(np.nan)
 _YES, _NO = np.uint8(1), np.uint8(0)
@@ -50,7 +50,7 @@ def _mark_row(above: Any, here: Any, below: Any, limit: Any, alone: Any) -> Any:
     return count
 
 
-@parallel
+@parallel_allocating
 def isolated_points(band: int, xyz: Any, limit: Any, alone: Any, count: Any) -> None:
     """Mark points with fewer than two of their eight neighbours within a distance, in a band of ROWS rows.
 

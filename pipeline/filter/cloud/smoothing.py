@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import inline, serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE, root
 from pipeline.filter.cloud.surface_tangent import NEVER, ON_PLANE, slope
 
@@ -122,7 +122,7 @@ def _solve(q: Any, variance: Any, at: Any, inflation: Any, s: Any) -> None:
         s[_FACTOR + j] = root(min(max(spread, _ZERO) * inverse * inverse * inflation / variance[k], _ONE))
 
 
-@parallel
+@parallel_allocating
 def smooth(i: int, q: Any, variance: Any, pitch: Any, weights: Any, inflation: Any, xyz: Any, sigma: Any) -> None:
     """Smooth a row; its sigma falls as that of the fit does.
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import root
 
 TILE = 16
@@ -59,7 +59,7 @@ def _compare(xyz: Any, sigma: Any, depth: Any, variance: Any, at: Any, count: in
         s[3 * COLUMNS + j] += _ONE if known != old else _ZERO
 
 
-@parallel
+@parallel_allocating
 def find_motion(band: int, xyz: Any, sigma: Any, depth: Any, variance: Any, moving: Any, rest: Any) -> None:
     """Mark the tiles of a row of tiles in which the new cloud contradicts the average, and add up the others.
 
@@ -151,7 +151,7 @@ def _write(s: Any, at: Any, count: int, xyz: Any, sigma: Any, depth: Any, varian
         xyz[k], xyz[k + _1], xyz[k + _2] = xyz[k] * s[3 * COLUMNS + j], xyz[k + _1] * s[3 * COLUMNS + j], s[j]
 
 
-@parallel
+@parallel_allocating
 def fuse(band: int, most: int, noisy: Any, moving: Any, xyz: Any, sigma: Any, depth: Any, variance: Any) -> None:
     """Average a row of tiles where it is at rest; elsewhere the average restarts from the new cloud.
 

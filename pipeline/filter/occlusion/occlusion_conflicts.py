@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.jit import allocating, serial
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.match.match_result import PIXEL_STEPS
 
 TILE_ROWS, TILE_COLUMNS = 8, 16
@@ -64,7 +64,7 @@ def _any_shared(number: Any, box: Any, across: int) -> bool:
     return False
 
 
-@parallel
+@parallel_allocating
 def list_claims(
     part: int, valid: Any, label: Any, u: Any, v: Any, depth: Any, values: Any, width: int, height: int, box: Any,
     number: Any, entries: Any, pixels: Any, places: Any, surfaces: Any, depths: Any, all_values: Any,
@@ -111,7 +111,7 @@ def list_claims(
     entries[part] = n
 
 
-@serial
+@allocating
 def nearest_and_farthest(entries: Any, places: Any, depth: Any, near: Any, far: Any) -> None:
     """Entry with the least and with the largest depth at each claimed place, -1 none (flat indices)."""
     near[:] = -1
@@ -133,7 +133,7 @@ def _differ(surface: Any, value: Any, e: int, other: int, tolerance: int) -> boo
     return bool(surface[e] != surface[other] and abs(np.int64(np.int16(value[e] - value[other]))) > tolerance)
 
 
-@parallel
+@parallel_allocating
 def find_conflicts(
     part: int, entries: Any, places: Any, surface: Any, value: Any, near: Any, far: Any, tolerance: int, conflicts: Any,
     against: Any,
@@ -175,7 +175,7 @@ def _keeps_pixel(label: int, depth: float, other: int, other_depth: float, size:
     return size[label] > size[other]
 
 
-@parallel
+@parallel_allocating
 def arbitrate(
     part: int, entries: Any, pixels: Any, places: Any, surface: Any, depth: Any, conflicts: Any, near: Any, far: Any,
     size: Any, share: Any, sure: int, valid: Any,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.filter.occlusion import occlusion_conflicts
 from pipeline.filter.occlusion.occlusion_conflicts import TILE_COLUMNS, TILE_ROWS
 from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS
@@ -92,7 +92,7 @@ def _claim(owner: Any, block: int, surface: Any) -> None:
         owner[block] = surface if owner[block] == NOBODY else SEVERAL
 
 
-@parallel
+@parallel_allocating
 def claim_blocks(
     part: int, valid: Any, label: Any, u: Any, v: Any, width: int, height: int, box: Any, owner: Any
 ) -> None:  # fmt: skip

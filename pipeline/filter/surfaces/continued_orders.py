@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.common.connected_components import Surfaces
 from pipeline.common.jit import inline
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.decode.decoder import PhaseMap
 from pipeline.filter.surfaces.small_surfaces import boxes_of
 from pipeline.fringe_order.margins.order_margins import Continued
@@ -91,7 +91,7 @@ def _change(
     return turns if abs(turns) <= _MOST else 0
 
 
-@parallel
+@parallel_allocating
 def find_changes(
     k: int, box: Any, sizes: Any, large: int, start: Any, stop: Any, count: Any, row: Any, surface: Any, label: Any,
     phase: Any, matched: Any, wrapped: Any, known: Any, mean: Any, change: Any, share: Any, jumps: Any, unknown: Any,

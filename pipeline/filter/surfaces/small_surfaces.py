@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.common.connected_components import Surfaces
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel, parallel_allocating
 from pipeline.filter.occlusion.uniqueness import PARTS
 from pipeline.filter.surfaces.component_test import reject_surfaces
 
@@ -113,7 +113,7 @@ def boxes(start: Any, stop: Any, count: Any, row: Any, surface: Any, box: Any) -
                 box[k, 2], box[k, 3] = min(box[k, 2], start[i, t]), max(box[k, 3], stop[i, t] - 1)
 
 
-@parallel
+@parallel_allocating
 def count_surroundings(
     k: int, box: Any, sizes: Any, large: int, radius: int, start: Any, stop: Any, count: Any, row: Any, surface: Any,
     before: Any, valid: Any, label: Any, counts: Any,

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.jit import allocating
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 
 from pipeline.fringe_order.order_candidates import (  # isort: skip
@@ -113,7 +113,7 @@ class Limits(NamedTuple):
         return MOST_REJECTED if self.even >= 0 else 1.0
 
 
-@parallel
+@parallel_allocating
 def costs_of_nodes(
     block: int, nodes: Any, pixels: Any, rays: Any, phase: Any, descriptors: Any, other_descriptors: Any, columns: Any,
     linear: bool, correction: Any, extent: Any, labels: int, axis: int, inv: Any, texture: Any, first: Any, count: Any,
@@ -141,7 +141,7 @@ def costs_of_nodes(
                 costs[start + j, order] = t[COST + j]
 
 
-@serial
+@allocating
 def least_margins(
     group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, largest_cost: Any, largest_own: Any,
     even: Any, unexplained: Any, continued: Any, share: Any, unconfirmed: Any, out: Any,
@@ -195,7 +195,7 @@ def least_margins(
                     out[k] = min(out[k], np.float32(0.0))
 
 
-@serial
+@allocating
 def _mean_own(group: Any, own: Any, first: Any, count: Any, costs: Any, groups: int) -> Any:
     """Mean cost of each group's pixels with their own orders, (groups,); arguments as of :func:`least_margins`."""
     total, pixels = np.zeros(groups), np.zeros(groups, np.int32)

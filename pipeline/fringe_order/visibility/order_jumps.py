@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.connected_components import LEFT, UP, Surfaces
-from pipeline.common.jit import inline, serial
+from pipeline.common.jit import allocating, inline, serial
 from pipeline.common.parallel_for import parallel
 from pipeline.decode.pixel_descriptor import mean_of
 from pipeline.fringe_order.left_right_check import UNDECIDED, flattened_row
@@ -198,7 +198,7 @@ def find_jumps(a: int, label: Any, flat: Any, mean: Any, found: Any, count: Any)
     count[1, a] = n
 
 
-@serial
+@allocating
 def joined(found: Any, count: Any) -> int:
     """Move what :func:`find_jumps` lists by rows to the front of ``found``; the number of all."""
     flat, n = found.reshape(-1), 0

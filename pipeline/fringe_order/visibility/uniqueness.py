@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
-from pipeline.common.parallel_for import parallel
+from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 
 from pipeline.fringe_order.order_candidates import (  # isort: skip
@@ -35,7 +35,7 @@ class Claims(NamedTuple):
     cost: NDArray[np.float32]
 
 
-@parallel
+@parallel_allocating
 def claims(
     block: int, order: Any, top: int, down: int, left: int, step: int, rays: Any, phase: Any, descriptors: Any,
     other_descriptors: Any, columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, inv: Any,

@@ -14,7 +14,7 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from pipeline.common.jit import inline
-from pipeline.common.parallel_for import blocks, parallel
+from pipeline.common.parallel_for import blocks, parallel, parallel_allocating
 
 pytestmark = pytest.mark.threads
 
@@ -83,7 +83,7 @@ class _Pair(NamedTuple):
     right: Any
 
 
-@parallel
+@parallel_allocating
 def _owners(i: int, plain: Any, pair: Any, nested: Any, out: Any) -> None:
     out[i, 0], out[i, 1] = _owner(plain), _owner(plain[1:])
     out[i, 2], out[i, 3] = _owner(pair.left), _owner(pair.right[i])

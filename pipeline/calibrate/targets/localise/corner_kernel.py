@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibrate.targets.localise.gauss_newton_step import add_row, decompose, solve
-from pipeline.common.jit import serial
+from pipeline.common.jit import allocating, serial
 
 PARAMETERS = 11
 _N = 11
@@ -25,7 +25,7 @@ _SLOPE = 0.05
 """How well the slope of Q is known from that of P, as a share of Q over the window."""
 
 
-@serial
+@allocating
 def fit_corners(
     image: Any,
     starts: Any,
@@ -53,7 +53,7 @@ def fit_corners(
         _fit(image, starts[i], windows[i], noise, blur, clip, steps, parameters[i], results[i])
 
 
-@serial
+@allocating
 def _fit(
     image: Any, start: Any, window: float, noise: Any, blur: Any, clip: float, steps: int, p: Any, out: Any
 ) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibrate.targets.localise.gauss_newton_step import add_row, decompose, solve
-from pipeline.common.jit import serial
+from pipeline.common.jit import allocating, serial
 
 PARAMETERS = 12
 _N = 12
@@ -30,7 +30,7 @@ _INSIDE_SLOPE = 0.02
 proportion to the ground. It matters only where the pixels of a small disc do not determine the slope."""
 
 
-@serial
+@allocating
 def fit_all(
     image: Any,
     starts: Any,
@@ -98,7 +98,7 @@ def _begin(image: Any, start: Any, shape: Any, reach: float, p: Any) -> bool:
     return True
 
 
-@serial
+@allocating
 def _fit(
     image: Any, start: Any, shape: Any, reach: float, noise: Any, blur: Any, clip: float, steps: int, p: Any, out: Any
 ) -> None:
@@ -151,7 +151,7 @@ def _move(p: Any, step: Any, most: float) -> bool:
     return centre_converged and abs(step[2]) + abs(step[3]) + abs(step[4]) < 0.02
 
 
-@serial
+@allocating
 def _normal_equations(
     image: Any,
     start: Any,
