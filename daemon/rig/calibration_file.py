@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
+from yaml.constructor import SafeConstructor
 
 from daemon.common.files import read_at_most, write_atomically
+from daemon.config.yaml_source import in_c
 from daemon.rig.camera_serials import Serials
 from pipeline.common.errors import CalibrationError
 from pipeline.rig import calibration as model
@@ -156,8 +158,8 @@ def _keep_unknown(new: dict[str, Any], old: Mapping[str, Any]) -> None:
             _keep_unknown(new[key], value)
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe, and rejects duplicate keys, of which YAML would silently use the last."""
+class _KeysOnce(SafeConstructor):
+    """Rejects duplicate keys, of which YAML would silently use the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[Any] = set()
@@ -169,10 +171,18 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+class _Loader(_KeysOnce, yaml.SafeLoader):
+    pass
+
+
+class _CLoader(_KeysOnce, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    pass
+
+
 def load_mapping(data: bytes, name: str) -> dict[str, Any]:
     """Keys and values of a YAML file: safe, no key twice, no aliases that unfold without end; CalibrationError."""
     try:
-        mapping = yaml.load(data, Loader=_Loader)  # noqa: S506  (a SafeLoader)
+        mapping = yaml.load(data, Loader=_CLoader if in_c(data) else _Loader)  # noqa: S506  (both are safe)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f":{mark.line + 1}:{mark.column + 1}" if mark else ""

@@ -80,6 +80,7 @@ def edited(*path: str, value: Any) -> bytes:
         (edited("cameras", "left", "size", value=[float("inf"), 3]), r"c\.yaml: "),
         (edited("projector", "distortion", value=[0, 0]), r"c\.yaml: projector\.distortion"),
         (b"[" * 5000, r"c\.yaml"),
+        (b"[" * 300_000, r"c\.yaml: nested too deeply"),
     ],
 )
 def test_invalid_files_are_reported_with_their_line(data: bytes, message: str) -> None:
