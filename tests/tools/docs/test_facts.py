@@ -182,9 +182,12 @@ def texts() -> tuple[str, ...]:
     found = []
     for package in ("fringed", "pipeline", "drivers", "daemon"):
         for file in (ROOT / package).rglob("*.py"):
-            tree = ast.parse(file.read_text(encoding="utf-8"))
-            inner = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
-            found += [_text(node) for node in ast.walk(tree) if id(node) not in inner]
+            inner: set[int] = set()
+            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):  # a node before its parts
+                if isinstance(node, ast.JoinedStr):
+                    inner |= set(map(id, node.values))
+                if id(node) not in inner:
+                    found.append(_text(node))
     return tuple(filter(None, found))
 
 
