@@ -18,13 +18,11 @@ def homography(plane: Array, image: Array) -> tuple[Array, float]:
     """
     to_plane, a = _normaliser(plane)
     to_image, b = _normaliser(image)
-    weight = np.ones(len(a))
+    row, zero, weight = np.column_stack([a, np.ones(len(a))]), np.zeros((len(a), 3)), np.ones(len(a))
+    upper, lower = np.hstack([row, zero, -b[:, :1] * row]), np.hstack([zero, row, -b[:, 1:] * row])
+    equations = np.concatenate([upper, lower])
     for _ in range(8):
-        one, zero = np.ones(len(a)), np.zeros((len(a), 3))
-        row = np.column_stack([a, one])
-        upper = np.concatenate([row, zero, -b[:, :1] * row], axis=1) * weight[:, None]
-        lower = np.concatenate([zero, row, -b[:, 1:] * row], axis=1) * weight[:, None]
-        rows = np.concatenate([upper, lower])
+        rows = equations * np.tile(weight, 2)[:, None]
         h = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3)
         mapped_points = row @ h.T
         if np.median(mapped_points[:, 2]) < 0:
