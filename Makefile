@@ -5,9 +5,10 @@ BIN    := $(VENV)/bin
 # Two stages of one environment: what the daemon, the demo and the benchmarks need, and what only tests and checks need.
 RIG    := $(VENV)/.rig
 DEV    := $(VENV)/.dev
-# Two more than there are processors: half of the tests' time is waiting, for emulated devices, time-outs or systemd. Each
-# has one thread of numba: threads of loops of microseconds that wait for each other on busy processors take twice the time.
-WORKERS ?= $(shell expr $$(nproc) + 2)
+# One more than there are processors: some of the tests' time is waiting, for emulated devices, time-outs or systemd (three,
+# four and five workers took 643, 678 and 759 s on two processors). Each has one thread of numba: threads of loops of
+# microseconds that wait for each other on busy processors take twice the time.
+WORKERS ?= $(shell expr $$(nproc) + 1)
 INSTALL_PACKAGES := $(BIN)/python tools/install_packages.py --editable
 # Environment of the programs that `make bench` compares with.
 PEERS  := .bench-venv
