@@ -12,8 +12,8 @@ KeyPath = tuple[str | int, ...]
 MAX_NODES = 20_000
 MAX_DEPTH = 32
 MOST_INDICATORS = 5_000
-"""Brackets, dashes, colons and question marks up to which libyaml parses a text: each can begin a level, and the stack
-of its parser has no limit but the memory's end, at some ten thousand levels."""
+"""Brackets, dashes, colons and question marks up to which libyaml parses a text: each can begin a level, and its parser
+recurses without a limit (20,000 levels are parsed, 200,000 exceed the stack and end the process)."""
 
 
 @dataclass(frozen=True, slots=True)
