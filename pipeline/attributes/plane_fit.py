@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import inline, serial
+from pipeline.common.jit import inline, linked
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.prefetch import LINE, prefetch
 from pipeline.common.tile_math import root
@@ -41,7 +41,7 @@ _1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
 _ZERO, _ONE, _FOUR, _TINY, _NAN = np.float32(0), np.float32(1), np.float32(4), np.float32(1e-12), np.float32(np.nan)
 
 
-@serial
+@linked
 def _load_row(
     xyz: Any, sigma: Any, height: int, width: int, y: int, first: int, reference: Any, unit: Any, raw: Any, new: int
 ) -> Any:
@@ -76,7 +76,7 @@ def _load_row(
     return total > _ZERO
 
 
-@serial
+@linked
 def _link_columns(raw: Any, new: int, reach: Any, curved: Any, links: Any) -> None:
     """1 where a pixel and the next one are of one surface, and where those on both sides continue each other.
 
@@ -95,7 +95,7 @@ def _link_columns(raw: Any, new: int, reach: Any, curved: Any, links: Any) -> No
         links[_WIDE + 1 + j] = both if x * x + y * y + z * z <= curved + noise else _ZERO
 
 
-@serial
+@linked
 def _sum_row(raw: Any, new: int, links: Any, sums: Any, at: int) -> None:
     """Weighted sums along a row over the pixels of each pixel's surface, RADIUS to both sides.
 
@@ -136,7 +136,7 @@ def _sum_row(raw: Any, new: int, links: Any, sums: Any, at: int) -> None:
         row[_SUM_Z + j], row[_MOMENT_Z + j] = total, (p1 - q1) + (p2 - q2) + (p3 - q3) - mean * total
 
 
-@serial
+@linked
 def _link_rows(raw: Any, k: int, reach: Any, curved: Any, sums: Any) -> None:
     """Links of a row to the next one, and whether it continues from the row before to the next one.
 
@@ -164,7 +164,7 @@ def _combine(rows: Any, k: int, above: Any, here: Any, below: Any) -> Any:
     return here * rows[k + _HERE] + b1 * rows[k + _UP1] + b2 * rows[k + _UP2] + b3 * rows[k + _UP3] + down
 
 
-@serial
+@linked
 def _fit_row(sums: Any, at: int, count: int, out: Any) -> None:
     """Normals of a row from the sums of seven.
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked, serial
 from pipeline.common.parallel_for import blocks, parallel, parallel_allocating
 
 LEFT, UP = np.uint8(1), np.uint8(2)
@@ -35,7 +35,7 @@ def _joined(valid: Any, link: Any, out: Any) -> None:
         into[j] = here[j] & left[j] & bits[j]
 
 
-@serial
+@linked
 def _touching(valid: Any, above: Any, link: Any, out: Any) -> None:
     """1 where a pixel hangs together with the one above it; ``out`` starts one pixel left of the row, with 0."""
     into = out[1:]

@@ -11,6 +11,8 @@ from typing import Any
 
 import numba
 
+from pipeline.common.linked_code import LinkedCompiler
+
 _COUNTING: dict[str, Any] = {
     "cache": True,
     "nogil": True,
@@ -18,20 +20,28 @@ _COUNTING: dict[str, Any] = {
     "fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"},
 }
 _FLAGS = _COUNTING | {"_nrt": False}
+LINKED: dict[str, Any] = {
+    "cache": False,
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": LinkedCompiler,
+}
+"""Options for functions that are never called from Python."""
 
 serial = numba.njit(no_cfunc_wrapper=True, **_FLAGS)
 """For functions that allocate no array and call none that does. They do not count references to arrays, which takes two
 atomic operations for every slice of a row."""
-ordered = numba.njit(no_cfunc_wrapper=True, **_FLAGS | {"fastmath": _FLAGS["fastmath"] | {"nnan"}})
-"""For code without NaN: minima become vector instructions."""
-inline = numba.njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **_FLAGS)
-"""For functions that kernels call: LLVM copies them into the caller. numba's own ``inline="always"`` does that before
-type inference, and compiles several times as long."""
-body = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_FLAGS)
-"""For functions that only :mod:`pipeline.common.parallel_for` calls."""
+linked = numba.njit(**_FLAGS | LINKED)
+"""The same for functions that only kernels call."""
+ordered = numba.njit(**_FLAGS | LINKED | {"fastmath": _FLAGS["fastmath"] | {"nnan"}})
+"""The same for code without NaN: minima become vector instructions."""
+inline = numba.njit(forceinline=True, **_FLAGS | LINKED)
+"""The same for functions that LLVM copies into the caller. numba's own ``inline="always"`` does that before type
+inference, and compiles several times as long."""
 allocating = numba.njit(no_cfunc_wrapper=True, **_COUNTING)
 """For functions that allocate arrays, or return one."""
-allocating_body = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_COUNTING)
+allocating_linked = numba.njit(**_COUNTING | LINKED)
+"""The same for functions that only kernels call."""
 
 
 @serial

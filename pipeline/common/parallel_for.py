@@ -21,7 +21,7 @@ from numba.core.types.containers import BaseTuple, Tuple
 from numba.extending import intrinsic
 from numba.np.ufunc import parallel as pool
 
-from pipeline.common.jit import allocating, allocating_body, body
+from pipeline.common.jit import allocating, allocating_linked, linked
 
 CHUNKS = 8
 """Chunks of indices per thread."""
@@ -63,12 +63,12 @@ class ParallelFor:
 
 def parallel(function: Callable[..., None]) -> ParallelFor:
     """Make a function of an index and arguments a :class:`ParallelFor`."""
-    return ParallelFor(function, body)
+    return ParallelFor(function, linked)
 
 
 def parallel_allocating(function: Callable[..., None]) -> ParallelFor:
     """The same for a function that allocates arrays or calls one that does."""
-    return ParallelFor(function, allocating_body)
+    return ParallelFor(function, allocating_linked)
 
 
 def blocks(count: int, size: int) -> int:

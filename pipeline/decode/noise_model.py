@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.common.parallel_for import parallel_allocating
 
 _TILE = 16
@@ -52,7 +52,7 @@ def estimate(image: NDArray[np.uint8], *, along: int, step: int, saturation: flo
     return _line(levels[usable], squares[usable])
 
 
-@serial
+@linked
 def _add_row(first: Any, middle: Any, last: Any, levels: Any, squares: Any, largest: Any) -> None:
     """Add the middle samples of a row, and the squares of its second differences; update the largest samples."""
     for j in range(levels.shape[0]):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 
 STEEP = 4.0
 """Tangent of the slope from which a point may lie on a step."""
@@ -29,7 +29,7 @@ def least_step(focal_px: float, stride: int) -> np.float32:
     return np.float32(2 * STEEP * stride / focal_px)
 
 
-@serial
+@linked
 def _along(z: Any, before: Any, after: Any, sides: Any, least: Any, half_order: Any, out: Any) -> None:
     """Set ``out`` (W,) where the depth passes a step at a point; NaN passes none.
 
@@ -46,7 +46,7 @@ def _along(z: Any, before: Any, after: Any, sides: Any, least: Any, half_order: 
         out[j] |= np.uint8(flat & between & (across > least * z[j]) & (across <= half_order * z[j] * z[j]))
 
 
-@serial
+@linked
 def steps_of_row(depth: Any, k: int, border: int, least_x: Any, least_y: Any, half_order: Any, out: Any) -> None:
     """1 where a point of row k of ``depth``, which has a border of unknown points, is on a step, else 0, (W,)."""
     n, end = border, border + out.shape[0]

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import inline, serial
+from pipeline.common.jit import inline, linked
 from pipeline.common.parallel_for import blocks, parallel_allocating
 from pipeline.filter.blurred_steps import steps_of_row
 from pipeline.filter.depth_clusters import link_row
@@ -73,7 +73,7 @@ def _beyond(difference: Any, noise: Any) -> Any:
     return square if square > _ZERO else _ZERO
 
 
-@serial
+@linked
 def _add_bends(z: Any, before: Any, after: Any, most: Any, variance: Any, more: Any) -> None:
     """Add the bends of a row to ``more`` (W,).
 
@@ -87,7 +87,7 @@ def _add_bends(z: Any, before: Any, after: Any, most: Any, variance: Any, more: 
         more[j] += _beyond(bend, NOISE * variance[j])
 
 
-@serial
+@linked
 def _add_ends(
     z: Any, before: Any, after: Any, farther: Any, beyond: Any, most: Any, variance: Any, more: Any
 ) -> None:  # fmt: skip
@@ -106,13 +106,13 @@ def _add_ends(
         more[j] += _beyond(_ZERO if both == both else inside, END_NOISE * variance[j])
 
 
-@serial
+@linked
 def _copy_depth(xyz: Any, out: Any) -> None:
     for j in range(out.shape[0]):
         out[j] = xyz[j, 2]
 
 
-@serial
+@linked
 def _bends_of_row(depth: Any, k: int, near: int, half_order: Any, sigma: Any, rows: Any, out: Any) -> None:
     """Variance (W,) that the bends of row k of ``depth`` add, which has a border of unknown points.
 
@@ -166,7 +166,7 @@ def _bends(
             _bends_of_row(depth, k, near, half_order, sparse, rows, out)
 
 
-@serial
+@linked
 def _add_clear(most: Any, own: Any, sigma: Any) -> None:
     """Add ``most`` (W,), where it is clear, else ``own`` (W,) to the variance of a row."""
     for j in range(own.shape[0]):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.connected_components import LEFT, UP, Surfaces
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.filter.surfaces.component_test import reject_surfaces
 from pipeline.filter.surfaces.small_surfaces import narrow
 
@@ -26,7 +26,7 @@ def largest_step(focal_px: float, stride: int) -> np.float32:
     return np.float32(LARGEST_TANGENT * stride / focal_px)
 
 
-@serial
+@linked
 def link_row(depth: Any, k: int, border: int, most_x: Any, most_y: Any, on_step: Any, known: Any, link: Any) -> None:
     """Points and links of row k of ``depth``, which has a border of unknown points.
 

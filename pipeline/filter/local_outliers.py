@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked, serial
 from pipeline.common.median import median
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.match.match_result import MatchResult
@@ -21,7 +21,7 @@ _SAMPLES = 800
 _YES, _NO = np.uint8(1), np.uint8(0)
 
 
-@serial
+@linked
 def _shift(came: Any, came_known: Any, gone: Any, gone_known: Any, total: Any) -> None:
     """Column sums of valid values after a row came and another went; they start three pixels left of the row."""
     into = total[RADIUS:]
@@ -31,7 +31,7 @@ def _shift(came: Any, came_known: Any, gone: Any, gone_known: Any, total: Any) -
         into[j] += np.int16(a - b)
 
 
-@serial
+@linked
 def _shift_count(came_known: Any, gone_known: Any, total: Any) -> None:
     into = total[RADIUS:]
     for j in range(came_known.shape[0]):
@@ -45,7 +45,7 @@ def _across(x: Any, out: Any) -> None:
         out[j] = ((a[j] + b[j]) + (c[j] + d[j])) + ((e[j] + f[j]) + g[j])
 
 
-@serial
+@linked
 def _agreeing(
     valid: Any, first: Any, second: Any, n: Any, sum1: Any, sum2: Any, window: Any, limit: int, largest: int,
     mean: int, out: Any,
@@ -144,7 +144,7 @@ def usual_residuals(match: MatchResult) -> tuple[int, int]:
     return (int(median(means[:n])), int(median(squares[:n]))) if n else (0, 0)
 
 
-@serial
+@linked
 def _pad(label: Any, modulation: Any, labels: Any, strengths: Any, out: Any) -> None:
     """Label and modulation (0 where there is no surface) one further along, and whether there is a surface."""
     a, b = labels[1:], strengths[1:]
@@ -156,21 +156,21 @@ def _pad(label: Any, modulation: Any, labels: Any, strengths: Any, out: Any) -> 
         out[j] = _YES if label[j] != 0 else _NO
 
 
-@serial
+@linked
 def _largest_of_three(a: Any, b: Any, c: Any, out: Any) -> None:
     for j in range(out.shape[0]):
         x = a[j] if a[j] > b[j] else b[j]
         out[j] = x if x > c[j] else c[j]
 
 
-@serial
+@linked
 def _least_of_three(a: Any, b: Any, c: Any, out: Any) -> None:
     for j in range(out.shape[0]):
         x = a[j] if a[j] < b[j] else b[j]
         out[j] = x if x < c[j] else c[j]
 
 
-@serial
+@linked
 def _perhaps_mixed(here: Any, best: Any, share: int, first: Any, last: Any, out: Any) -> None:
     """1 where several surfaces, or none, are near and a strength may fall below so many 256ths of the best."""
     for j in range(out.shape[0]):

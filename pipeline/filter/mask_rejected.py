@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.common.parallel_for import parallel
 
 _NAN = np.float32(np.nan)
 _NOWHERE = np.int16(-1)
 
 
-@serial
+@linked
 def _mask_row(valid: Any, order: Any, near: Any, far: Any, xyz: Any, sigma: Any, order_out: Any) -> None:
     for j in range(sigma.shape[0]):
         x, y, z = xyz[j, 0], xyz[j, 1], xyz[j, 2]

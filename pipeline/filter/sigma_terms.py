@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.common.median import median
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.filter.texture_agreement import MISFIT_STEPS
@@ -99,7 +99,7 @@ def _scatter(
     return spread**2, median(variance[here][grid][some])
 
 
-@serial
+@linked
 def _lost_row(known: Any, phase: Any, pixel: Any, slope: Any, stride: Any, out: Any) -> None:
     """Square of 1 - t of a row (n,), 0 where a neighbour is unknown or on another surface.
 
@@ -123,7 +123,7 @@ def _lost_row(known: Any, phase: Any, pixel: Any, slope: Any, stride: Any, out: 
         out[j] = lost * lost if usable else zero
 
 
-@serial
+@linked
 def _widen_row(
     misfit: Any, normalised: Any, residual: Any, variance: Any, lost: Any, bias_share: Any, misfit_share: Any,
     more: Any, sigma: Any,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked, serial
 from pipeline.common.median import median
 from pipeline.common.parallel_for import blocks, parallel_allocating
 from pipeline.match.match_result import PIXEL_STEPS, MatchResult
@@ -75,7 +75,7 @@ class Agreement(NamedTuple):
         return Agreement(np.empty(shape, np.uint8), np.empty(shape, np.uint8))
 
 
-@serial
+@linked
 def right_values_of_row(
     valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, width: int, place: Any, values: Any, out: Any
 ) -> None:  # fmt: skip
@@ -103,7 +103,7 @@ def right_values_of_row(
         amplitudes[j] = b + f * (np.float32(b1[j]) - b)
 
 
-@serial
+@linked
 def deviations_of_row(valid: Any, mean: Any, amplitude: Any, right: Any, s: Any, deviation: Any, misfit: Any) -> None:
     """Deviation and misfit of a row from its values and ``right`` (2, W); s: of :func:`scales_of`."""
     zero, two, most = np.float32(0.0), np.float32(2.0), np.float32(_LAST)

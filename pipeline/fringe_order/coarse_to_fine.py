@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import inline, serial
+from pipeline.common.jit import inline, linked
 from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import whole_turns
 from pipeline.fringe_order.semi_global_aggregation import NONE
@@ -39,7 +39,7 @@ def _common_order(before: Any, after: Any, from_before: Any, from_after: Any) ->
     return np.int16(one) if one == other else np.int16(NONE)
 
 
-@serial
+@linked
 def _between_columns(phase: Any, valid: Any, left: int, step: int, slope: Any, row: Any) -> None:
     """Fill the odd pixels of a lattice row (w,) from its even ones; ``phase``, ``valid``: the image's row."""
     for b in range(1, row.shape[0] - 1, 2):
@@ -61,7 +61,7 @@ def _between_columns(phase: Any, valid: Any, left: int, step: int, slope: Any, r
         row[row.shape[0] - 1] = NONE
 
 
-@serial
+@linked
 def _between_rows(
     phase: Any, valid: Any, i: int, down: int, left: int, step: int, slope: Any, above: Any, below: Any, row: Any
 ) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.common.parallel_for import blocks, parallel, parallel_allocating
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.pixel_descriptor import bias_of
@@ -44,7 +44,7 @@ def cross_check(
     )  # fmt: skip
 
 
-@serial
+@linked
 def flattened_row(order: Any, i: int, left: int, step: int, phase: Any, slope_x: Any, slope_y: Any, out: Any) -> None:
     """Absolute phase of a lattice row's pixels less the expected slope, NaN where undecided."""
     down = slope_y * np.float32(i)
@@ -54,7 +54,7 @@ def flattened_row(order: Any, i: int, left: int, step: int, phase: Any, slope_x:
         out[b] = value if order[b] != UNDECIDED else _NAN
 
 
-@serial
+@linked
 def _projector_positions(
     order: Any, phase: Any, bias: Any, first: Any, per_step: Any, last: Any, absolute: Any, index: Any, part: Any
 ) -> None:  # fmt: skip
@@ -75,7 +75,7 @@ def _projector_positions(
         part[b] = x - np.float32(cell) if inside else _NAN
 
 
-@serial
+@linked
 def _other_positions(
     low: Any, high: Any, part: Any, lines: Any, a: int, correction: Any, main: Any, side: Any
 ) -> None:  # fmt: skip
@@ -97,7 +97,7 @@ def _other_positions(
         main[b], side[b] = along, q0[b] + q1[b] * along
 
 
-@serial
+@linked
 def _nearest(pixel: Any, first: Any, per_step: Any, count: int, out: Any) -> None:
     """Index of the lattice row or column nearest to a pixel coordinate, -9 where that is more than one step outside."""
     last = np.float32(count)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import inline, serial
+from pipeline.common.jit import inline, linked
 from pipeline.common.parallel_for import blocks, parallel_allocating
 from pipeline.decode.decoder import PhaseMap
 from pipeline.fringe_order.left_right_check import UNDECIDED, flattened_row
@@ -34,7 +34,7 @@ def propagate(view: View, phases: PhaseMap, order: NDArray[np.int16], out: NDArr
     )  # fmt: skip
 
 
-@serial
+@linked
 def _expanded(node: Any, step: int, before: int, out: Any) -> None:
     """Repeat each lattice pixel's value up to the next one, from column ``before`` on; NaN elsewhere."""
     out[:] = _NAN
@@ -51,7 +51,7 @@ def _nearer_order(order: Any, least: Any, x: Any, distance: Any) -> tuple[Any, A
     return (m if deviation < least else order), (deviation if deviation < least else least)
 
 
-@serial
+@linked
 def _least_deviating(
     expected: Any, valid: Any, upper: Any, upper_next: Any, lower: Any, lower_next: Any, distance: Any,
     distance_next: Any, down: Any, up: Any, out: Any,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import allocating, inline, serial
+from pipeline.common.jit import allocating, inline, linked
 from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import decay, whole_turns
 
@@ -60,7 +60,7 @@ def _bin(one: Any, other: Any) -> Any:
     return np.int32(min(abs(contrast) * _FINE, _LAST))
 
 
-@serial
+@linked
 def _limited_factor(histogram: Any) -> Any:
     """CONTRAST, or less where the median of the contrasts (bins,) is high."""
     total, below, median = histogram.sum(), 0, 0

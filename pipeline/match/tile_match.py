@@ -15,7 +15,7 @@ from pipeline.match.epipolar_search import (  # isort: skip
     ACROSS, BIAS, ERROR, EX, EY, FEW, FRACTION, IM, INTEGER_SLOTS, OK, PHI, RE, RX, RY, SIZE, SLOPE, SLOTS, SQUARE, T0,
     T1, U, V, VARIANCE, W, X, Y, columns_of, errors, evidence, look_up, meet, move, pixel, projected_phase, ray,
 )  # fmt: skip
-from pipeline.common.jit import allocating, inline, serial
+from pipeline.common.jit import allocating, inline, linked
 from pipeline.common.tile_math import TILE, clamped, root
 from pipeline.decode.packed_phasor import imaginary, real
 from pipeline.decode.pixel_descriptor import bias_of
@@ -77,7 +77,7 @@ def scratch() -> tuple[Any, Any, Any, Any, Any]:
     )
 
 
-@serial
+@linked
 def match_tile(arrays: Any, n: int, model: Any, other: Any, variance: Any) -> None:
     """Match the first n pixels of a loaded tile (see :func:`load`), for the functions ``store_...``.
 

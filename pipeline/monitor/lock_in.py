@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import allocating, serial
+from pipeline.common.jit import allocating_linked, linked
 from pipeline.monitor.polynomial import solved, waves
 
 LIGHT = 3
 """Numbers of a channel in a patch: a, p, q."""
 
 
-@serial
+@linked
 def _row_sums(values: Any, cosine: Any, sine: Any, first: int, step: int, n: int, x0: float, d: float, y: float,
               normal: Any, sums: Any) -> None:  # fmt: skip
     """Add a row, or every other pixel of it, to the normal equations of one channel.
@@ -67,7 +67,7 @@ def _row_sums(values: Any, cosine: Any, sine: Any, first: int, step: int, n: int
     sums[4] += ssi
 
 
-@allocating
+@allocating_linked
 def lock_in(image: Any, mosaic: Any, top: int, left: int, rows: int, columns: int, q: Any, centre_u: float,
              centre_v: float, half_u: float, half_v: float, clip: int, scratch: Any, matrix: Any, right: Any,
              out: Any) -> bool:  # fmt: skip

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import allocating, inline, serial
+from pipeline.common.jit import allocating_linked, inline, serial
 
 QUADRATIC = 6
 
@@ -39,7 +39,7 @@ def solved(matrix: Any, right: Any, n: int, columns: int) -> bool:
     return True
 
 
-@allocating
+@allocating_linked
 def fit_quadratic(points: Any, n: int, u: int, v: int, centre_u: float, centre_v: float, half_u: float,
                    half_v: float, targets: Any, matrix: Any, right: Any) -> bool:  # fmt: skip
     """Least squares of some columns of ``points`` on 1, x, y, x x, x y, y y of columns u and v; into ``right``."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import allocating
+from pipeline.common.jit import allocating_linked
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import angle, clamped, root
 
@@ -21,7 +21,7 @@ _ZERO, _ONE, _TINY = np.float32(0), np.float32(1), np.float32(1e-12)
 _MOST = np.float32(127)
 
 
-@allocating
+@allocating_linked
 def load_row(
     stack: Any, i: int, channels: int, scale: float, black: Any, share: Any, saturation: float, row: Any
 ) -> int:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.common.jit import allocating, serial
+from pipeline.common.jit import allocating_linked, linked
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, deviations_of_row, right_values_of_row
@@ -83,7 +83,7 @@ class _Tile(NamedTuple):
     values: Any
 
 
-@allocating
+@allocating_linked
 def _empty_tile() -> Any:
     f, i = np.float32, np.int32
     return _Tile(
@@ -95,7 +95,7 @@ def _empty_tile() -> Any:
     )  # fmt: skip
 
 
-@serial
+@linked
 def _match_gathered(pixels: Any, left: Any, right: Any, model: Any, scales: Any, arrays: Any, tile: Any) -> None:
     """Match up to TILE pixels (rows and columns) with the orders in ``tile.order``; the tile keeps the results."""
     n = pixels.shape[0]
@@ -158,7 +158,8 @@ def match_neighbours(
     for side in range(2):
         for start in range(0, found[side], TILE):
             some = pixels[side, start : min(start + TILE, found[side])]
-            tile.order[: some.shape[0]] = orders[side, start : start + some.shape[0]]
+            for m in range(some.shape[0]):  # numba would compile a message for slices of different lengths: 3 s
+                tile.order[m] = orders[side, start + m]
             _match_gathered(some, left, right, model, scales, arrays, tile)
             for m in range(some.shape[0]):
                 i, j, new = some[m, 0], some[m, 1], np.int32(tile.deviation[m])

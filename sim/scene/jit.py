@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numba
 
+from pipeline.common.jit import LINKED
+
 compiled = numba.njit(cache=True, nogil=True)
-inline = numba.njit(cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+inline = numba.njit(nogil=True, forceinline=True, **LINKED)
 """For functions that only compiled ones call. Arrays without owners (:func:`pipeline.common.parallel_for.unowned`) have
 no references to count: LLVM removes the counting where it copies a function into its caller."""

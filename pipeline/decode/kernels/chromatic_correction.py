@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 
 DESIGN_ROWS = 8
 """Rows of a mosaic that share one design; the angles change by less than a thousandth of a radian over them."""
 
 
-@serial
+@linked
 def correct_phasors(table: Any, step: int, y: int, re: Any, im: Any) -> None:
     """Correct the phasors (W,) of row y; ``table`` and ``step`` of ``ChromaticCorrection``."""
     i = y // step
@@ -26,7 +26,7 @@ def correct_phasors(table: Any, step: int, y: int, re: Any, im: Any) -> None:
         im[j] = (f * t[10, j] + g * o[10, j]) * c + (f * t[11, j] + g * o[11, j]) * s
 
 
-@serial
+@linked
 def correct_means(table: Any, step: int, y: int, re: Any, im: Any, mean: Any) -> None:
     """Correct the means (W,) of row y, before the phasors: the uncorrected ones are needed."""
     i = y // step
@@ -38,7 +38,7 @@ def correct_means(table: Any, step: int, y: int, re: Any, im: Any, mean: Any) ->
         mean[j] = max(mean[j] + more, zero)
 
 
-@serial
+@linked
 def units_of_row(re: Any, im: Any) -> None:
     """Normalise phasors (W,) to size 1."""
     one, tiny = np.float32(1.0), np.float32(1e-12)
@@ -48,7 +48,7 @@ def units_of_row(re: Any, im: Any) -> None:
         re[j], im[j] = c * inverse, s * inverse
 
 
-@serial
+@linked
 def corrected_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out: Any, margin: int) -> None:
     """Corrected design (a, p, q) of every column's colour about row y, in even and odd rows.
 
@@ -75,7 +75,7 @@ def corrected_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out:
                 )
 
 
-@serial
+@linked
 def correct_design(table: Any, step: int, y: int, design: Any, margin: int) -> None:
     """Correct the design (3, margin + W or more) of the columns of row y."""
     i = y // step

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 
 MILD, STRONG = 0.45, 0.52
 """Vector sum of the channels' means over half of their sum, up to which a colour is left as it is and from which its
@@ -39,7 +39,7 @@ def limits_of(period_px: float) -> NDArray[np.float32]:
     return np.array([MILD**2, 1 / (STRONG**2 - MILD**2)], np.float32)
 
 
-@serial
+@linked
 def _flag_colored(balance: Any, limits: Any, flags: Any) -> None:
     """1 at pixels (W,) whose channels differ by more than those of a mild colour, else 0."""
     four, mild = np.float32(4.0), limits[0]
@@ -52,7 +52,7 @@ def _flag_colored(balance: Any, limits: Any, flags: Any) -> None:
         flags[j] = four * (x * x + y * y + z * z - x * y - y * z - z * x) > mild * total * total
 
 
-@serial
+@linked
 def _gains(balance: Any, limits: Any, start: int, end: int, out: Any) -> None:
     """Gains of successive pixels of a row.
 
@@ -76,7 +76,7 @@ def _gains(balance: Any, limits: Any, start: int, end: int, out: Any) -> None:
         out2[j] = min(one + share * (level / z - one), most)
 
 
-@serial
+@linked
 def gains_of_row(balance: Any, limits: Any, width: int, flags: Any, runs: Any, n_runs: int, out: Any) -> int:
     """Gains of the unmixed channels, whose mean brightness they keep; exactly 1 on surfaces that are mildly coloured.
 
@@ -114,7 +114,7 @@ def gains_of_row(balance: Any, limits: Any, width: int, flags: Any, runs: Any, n
     return n
 
 
-@serial
+@linked
 def balanced_row(
     levels: Any, gains: Any, start: int, unmix: Any, ideal: Any, floor: float, gain: float, unit_re: Any, unit_im: Any,
     usable: Any, re: Any, im: Any, mean: Any, tangential: Any,
@@ -159,7 +159,7 @@ def balanced_row(
         tangential[j] = tangential[j] if same else noise
 
 
-@serial
+@linked
 def widen_at_changes(gains: Any, start: int, end: int, re: Any, im: Any, tangential: Any) -> None:
     """Add to the variances of a run of pixels of a row (W,) what a change of the gains (3, W) around them adds."""
     low, high = max(start, LAG), min(end, re.shape[0] - LAG)
@@ -174,7 +174,7 @@ def widen_at_changes(gains: Any, start: int, end: int, re: Any, im: Any, tangent
             variance[j] += factor * change * change * (c[j] * c[j] + s[j] * s[j])
 
 
-@serial
+@linked
 def balanced_units(levels: Any, gains: Any, start: int, unmix: Any, ideal: Any, re: Any, im: Any, mean: Any) -> None:
     """Unit phasors and mean (W,) of levels with gains; arguments as of :func:`balanced_row`."""
     zero, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
@@ -194,7 +194,7 @@ def balanced_units(levels: Any, gains: Any, start: int, unmix: Any, ideal: Any, 
         mean[j] = max(ideal[0, 0] * e0 + ideal[0, 1] * e1 + ideal[0, 2] * e2, zero)
 
 
-@serial
+@linked
 def design_of(mix: Any, light: Any, gains: Any, channel: int, j: int) -> tuple[Any, Any, Any]:
     """Design (a, p, q) of a camera channel at pixel j with gains (3, W): the surface reflects one over them.
 
@@ -209,7 +209,7 @@ def design_of(mix: Any, light: Any, gains: Any, channel: int, j: int) -> tuple[A
     )
 
 
-@serial
+@linked
 def design_of_row(
     even: int, odd: int, mix: Any, light: Any, gains: Any, start: int, end: int, out: Any, margin: int
 ) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked, serial
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.decode.kernels.chromatic_correction import correct_means
 from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
@@ -56,7 +56,7 @@ def _extend(means: Any, along: int) -> None:
             means[3 * j + k] = means[3 * last + k]
 
 
-@serial
+@linked
 def _colors_of_row(brightness: Any, balance: Any, out: Any) -> None:
     """Brightness (W,) times the channels' means, out (3 W,) uint8."""
     n = brightness.shape[0]

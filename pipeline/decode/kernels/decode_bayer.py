@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import allocating, serial
+from pipeline.common.jit import allocating_linked, linked
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.decode.kernels.chromatic_correction import (
@@ -48,7 +48,7 @@ AT_END, BESIDE_END = 2.0, 1.2
 the error of the phase's step, taken from the first guess, does not cancel between both halves (measured)."""
 
 
-@serial
+@linked
 def _design_rows(mosaic: Any, rows: Any, out: Any) -> None:
     """Design (a, p, q) of every column's colour in even and odd rows, out (6, ...)."""
     for k in range(6):
@@ -56,7 +56,7 @@ def _design_rows(mosaic: Any, rows: Any, out: Any) -> None:
             out[k, j] = rows[mosaic[k // 3, j & 1], k % 3]
 
 
-@allocating
+@allocating_linked
 def _first_guess(image: Any, y: int, mosaic: Any, padded: Any, cache: Any, cached_rows: Any) -> Any:
     """First guess of row y, (3 W,) uint16, from the cache or computed.
 
@@ -75,7 +75,7 @@ def _first_guess(image: Any, y: int, mosaic: Any, padded: Any, cache: Any, cache
     return out
 
 
-@serial
+@linked
 def _write_tile(tile: Any, unit_re: Any, unit_im: Any, re: Any, im: Any, mean: Any, variance: Any) -> None:
     """Write the results of a tile; without a fit the mean is kept."""
     zero, most, inf = np.float32(0.0), np.float32(1024.0), np.float32(np.inf)
@@ -88,7 +88,7 @@ def _write_tile(tile: Any, unit_re: Any, unit_im: Any, re: Any, im: Any, mean: A
         mean[j] = min(max(tile[MEAN * TILE + j], zero), most) if v < inf else mean[j]
 
 
-@serial
+@linked
 def _widen_colored(own: Any, plain: Any, variance: Any) -> None:
     """Raise the variance of a row (n,) where the design's first number is not that of a surface without gains."""
     one, factor, least = np.float32(1.0), np.float32(COLORED), np.float32(1e-4)
@@ -96,7 +96,7 @@ def _widen_colored(own: Any, plain: Any, variance: Any) -> None:
         variance[j] *= factor if abs(own[j] - plain[j]) > least else one
 
 
-@serial
+@linked
 def _widen_ends(variance: Any, last: bool) -> None:
     """Raise the variance at both ends of a row (n,); ``last``: the row is the image's first or last."""
     most, more = np.float32(AT_END), np.float32(BESIDE_END)
@@ -108,7 +108,7 @@ def _widen_ends(variance: Any, last: bool) -> None:
         variance[variance.shape[0] - 1 - j] *= factor
 
 
-@serial
+@linked
 def _continue_row(units: Any, row: int, inwards: int) -> None:
     """Unit phasors of a row at the image's end, or beyond, from the two rows next to it."""
     a, b, c = (row + inwards) % RING, (row + 2 * inwards) % RING, row % RING

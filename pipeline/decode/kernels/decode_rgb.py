@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.decode.kernels.chromatic_correction import correct_means, correct_phasors, units_of_row
@@ -27,7 +27,7 @@ from pipeline.decode.pixel_descriptor import complete_row, normalised_phase_row
 BANDS = 12
 
 
-@serial
+@linked
 def quotients_of_row(w: Any, c: Any, s: Any, a: Any, v: Any, re: Any, im: Any, mean: Any, variance: Any) -> None:
     """Means of weighted sums, and the variance of the angle, rad^2; 0, 0, 0 and inf where the weight is 0."""
     zero, one = np.float32(0.0), np.float32(1.0)
@@ -40,7 +40,7 @@ def quotients_of_row(w: Any, c: Any, s: Any, a: Any, v: Any, re: Any, im: Any, m
         variance[j] = angular if count else inf
 
 
-@serial
+@linked
 def _sums_along(
     rows: Any, ur: Any, ui: Any, radius: int, nominal: Any, weights: Any, sums: Any, k: int, width: int
 ) -> None:
@@ -71,7 +71,7 @@ def _sums_along(
         sums[m * ring + k, 0], sums[m * ring + k, n - 1] = rows[m, o], rows[m, o + n - 1]
 
 
-@serial
+@linked
 def _sums_across(
     unit: Any, sums: Any, i: int, ends: bool, radius: int, nominal: Any, weights: Any, w: Any, c: Any, s: Any, a: Any,
     v: Any,

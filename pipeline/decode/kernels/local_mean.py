@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked, serial
 
 _ACROSS = 5  # extent of the box across the direction of growth, pixels
 _FULL = 60_000  # largest sum; below 2^16 with room for rounding
@@ -62,7 +62,7 @@ def mirrored(i: int, n: int) -> int:
     return 2 * n - 1 - i if i >= n else i
 
 
-@serial
+@linked
 def shared_row(y: int) -> int:
     """The row whose means are used for row y."""
     return SHARED * ((y + SHARED // 2) // SHARED)
@@ -126,7 +126,7 @@ def _dropped(row: Any, bits: int, out: Any) -> None:
             out[j] = row[j]
 
 
-@serial
+@linked
 def drop_bits(row: Any, bits: int, out: Any) -> None:
     """Round away the lowest bits of a row (n,) uint16."""
     _dropped(row, min(bits, 4), out)
@@ -134,7 +134,7 @@ def drop_bits(row: Any, bits: int, out: Any) -> None:
         _dropped(out, min(bits - done, 4), out)
 
 
-@serial
+@linked
 def _add_terms(row: Any, stride: int, digit: int, keep: int, out: Any) -> None:
     """Add to ``out`` (set it, if ``keep`` is 0) one to three elements of a row, one stride apart."""
     n = out.shape[0]
@@ -154,14 +154,14 @@ def _add_terms(row: Any, stride: int, digit: int, keep: int, out: Any) -> None:
             out[j] = np.uint16(out[j] + second[j] + third[j])
 
 
-@serial
+@linked
 def _fourfold(row: Any, stride: int, n: int, out: Any) -> None:
     second, third, fourth = row[stride:], row[2 * stride :], row[3 * stride :]
     for j in range(n):
         out[j] = np.uint16(row[j] + second[j] + third[j] + fourth[j])
 
 
-@serial
+@linked
 def box_row(row: Any, length: int, work: Any, out: Any) -> None:
     """Sums of ``length`` successive pixels of a row of three interleaved colours: composed of sums of 1, 4, 16 ...
 
@@ -183,7 +183,7 @@ def box_row(row: Any, length: int, work: Any, out: Any) -> None:
         power *= 4
 
 
-@serial
+@linked
 def means_of_row(
     twice: Any, along: int, first: int, second: int, padded: Any, middle: Any, work: Any, out: Any
 ) -> None:

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 
 
-@serial
+@linked
 def balance_of_row(means: Any, scale: float, black: Any, unmix: Any, out: Any) -> None:
     """Factors that make the channels of a row equally bright: one over their means above black, without crosstalk.
 
@@ -41,7 +41,7 @@ def balance_of_row(means: Any, scale: float, black: Any, unmix: Any, out: Any) -
         out0[j], out1[j], out2[j], level[j] = one / x, one / y, one / z, (x + y + z) * third
 
 
-@serial
+@linked
 def normalised_row(levels: Any, balance: Any, unmix: Any, solve: Any, re: Any, im: Any, mean: Any) -> None:
     """Phasor of the balanced channels, about unit size for full modulation, and their mean.
 
@@ -69,7 +69,7 @@ def normalised_row(levels: Any, balance: Any, unmix: Any, solve: Any, re: Any, i
         mean[j] = max(a0 * e0 + a1 * e1 + a2 * e2, zero)
 
 
-@serial
+@linked
 def brightness_of_row(mean: Any, balance: Any, out: Any) -> None:
     """Brightness of a row, (W,) uint8 counts, from the mean (W,) of its balanced channels.
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.common.tile_math import TILE
 from pipeline.decode.kernels.normal_equations import SLOTS, accumulate, clear
 from pipeline.decode.kernels.window_fit import step_of
@@ -25,7 +25,7 @@ _ROW = SLOTS + 4  # predicted phasors at the first pixel of the current window r
 MOSAIC_SLOTS = SLOTS + 6
 
 
-@serial
+@linked
 def padded_row(raw: Any, out: Any) -> None:
     """Copy raw (W,) uint8 to out (W + 2,) uint16, mirrored at the border pixels, which keeps the parity."""
     n = raw.shape[0]
@@ -35,7 +35,7 @@ def padded_row(raw: Any, out: Any) -> None:
     out[0], out[n + 1] = out[2], out[n - 1]
 
 
-@serial
+@linked
 def rough_row(above: Any, middle: Any, below: Any, even: int, odd: int, out: Any) -> None:
     """First guess: each colour's weighted mean over 3 x 3 pixels (weights 1 2 1 both ways), in eighths of a count.
 
@@ -58,7 +58,7 @@ def rough_row(above: Any, middle: Any, below: Any, even: int, odd: int, out: Any
         out[3 * j + other] = np.uint16(4 * over if is_green else 2 * corners)
 
 
-@serial
+@linked
 def rough_units(levels: Any, solution: Any, re: Any, im: Any, mean: Any) -> None:
     """Unit phasors and mean (W,) of the first guess, levels (3, W or more) counts above black."""
     zero, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
@@ -75,7 +75,7 @@ def rough_units(levels: Any, solution: Any, re: Any, im: Any, mean: Any) -> None
         mean[j] = max(a0 * x + a1 * y + a2 * z, zero)
 
 
-@serial
+@linked
 def samples_of_row(raw: Any, even: float, odd: float, saturation: float, level: Any, usable: Any) -> int:
     """Counts above black (``even``, ``odd``) of raw (W,) uint8, and 0 where saturated, else 1; returns how many are."""
     one, zero = np.float32(1.0), np.float32(0.0)
@@ -88,7 +88,7 @@ def samples_of_row(raw: Any, even: float, odd: float, saturation: float, level: 
     return int(saturated)
 
 
-@serial
+@linked
 def start_tile(
     tile: Any, above_re: Any, above_im: Any, before_re: Any, before_im: Any, re: Any, im: Any, after_re: Any,
     after_im: Any, below_re: Any, below_im: Any, nominal: Any, radius: int,
@@ -115,7 +115,7 @@ def start_tile(
     clear(tile)
 
 
-@serial
+@linked
 def add_window_row(
     tile: Any, re: Any, im: Any, level: Any, usable: Any, a: Any, p: Any, q: Any, middle: float, side: float,
     far: float, floor: float, gain: float,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.common.tile_math import angle
 from pipeline.decode.packed_phasor import pack
 
@@ -15,7 +15,7 @@ _LINE = 16  # float32 in a cache line
 _ZERO, _MOST = np.float32(0.0), np.float32(255.0)
 
 
-@serial
+@linked
 def row_stride(width: int) -> int:
     """Elements from one scratch row to the next.
 
@@ -24,7 +24,7 @@ def row_stride(width: int) -> int:
     return _LINE * (width // _LINE + 1 + (width // _LINE) % 2)
 
 
-@serial
+@linked
 def angles_of_row(re: Any, im: Any, scale: Any, phasor: Any, phase: Any) -> None:
     """Phasors (n,) to a packed row (n,) int32 and their angles (n,) float32."""
     for j in range(phase.shape[0]):
@@ -33,14 +33,14 @@ def angles_of_row(re: Any, im: Any, scale: Any, phasor: Any, phase: Any) -> None
         phasor[j] = pack(re[j], im[j], scale)
 
 
-@serial
+@linked
 def copy_row(values: Any, out: Any) -> None:
     """Copy a row (n,); numba compiles the message of a slice's wrong shape for 4 s."""
     for j in range(out.shape[0]):
         out[j] = values[j]
 
 
-@serial
+@linked
 def describe_row(re: Any, im: Any, variance: Any, min_modulation: float, modulation: Any, valid: Any) -> None:
     """Modulation (n,) uint8 counts and validity (n,) bool of a row."""
     full, one = np.float32(255.0), np.float32(1.0)
@@ -50,7 +50,7 @@ def describe_row(re: Any, im: Any, variance: Any, min_modulation: float, modulat
         valid[j] = (size >= min_modulation) & (variance[j] < one)
 
 
-@serial
+@linked
 def counts_of_row(mean: Any, out: Any) -> None:
     """Means (n,) float32 to whole counts 0 .. 255, (n,) uint8."""
     for j in range(out.shape[0]):

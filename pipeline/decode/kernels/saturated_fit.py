@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import inline, serial
+from pipeline.common.jit import inline, linked, serial
 from pipeline.common.tile_math import TILE
 from pipeline.decode.kernels.color_gains import design_of
 from pipeline.decode.kernels.normal_equations import IM, MEAN, RE, SLOTS, VARIANCE, accumulate, clear, solve
@@ -23,7 +23,7 @@ _DESIGN = _UNITS + 17  # (a, p, q) of the three channels
 SATURATED_SLOTS = _UNITS + 26
 
 
-@serial
+@linked
 def saturated_of_row(raw: Any, saturation: float, found: Any) -> int:
     """Columns with a saturated sample into ``found`` (W + 1,); returns how many; raw (3 W,) is interleaved."""
     n = 0
@@ -33,7 +33,7 @@ def saturated_of_row(raw: Any, saturation: float, found: Any) -> int:
     return n
 
 
-@serial
+@linked
 def plain_mean(raw: Any, j: int, black: Any, solution: Any) -> Any:
     """Mean A of a single pixel of a row, counts."""
     a = np.float32(0.0)
@@ -78,7 +78,7 @@ def _steps(tile: Any, nominal: Any) -> None:
     _step(tile, _UNITS + 6, nominal[2], nominal[3], _STEP_Y)
 
 
-@serial
+@linked
 def _add_channel(
     tile: Any, channel: int, dark: float, saturation: float, weight: float, floor: float, gain: float
 ) -> None:
@@ -92,7 +92,7 @@ def _add_channel(
                    floor + gain * max(level, zero))  # fmt: skip
 
 
-@serial
+@linked
 def fit_saturated(
     image: Any, i: int, columns: Any, radius: int, nominal: Any, weights: Any, mix: Any, light: Any, gains: Any,
     black: Any, saturation: float, floor: float, gain: float, units: Any, tile: Any, re: Any, im: Any, mean: Any,

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 
 
-@serial
+@linked
 def levels_of_row(raw: Any, scale: float, black: Any, levels: Any) -> None:
     """Counts above black into levels (3, W or more); raw (3 W,), colours interleaved, is multiplied by ``scale``."""
     n = raw.shape[0] // 3
@@ -25,7 +25,7 @@ def levels_of_row(raw: Any, scale: float, black: Any, levels: Any) -> None:
         z[j] = np.float32(raw[3 * j + 2]) * scale - dark2
 
 
-@serial
+@linked
 def pointwise_row(
     levels: Any, black: Any, solve: Any, saturation: float, floor: float, gain: float,
     unit_re: Any, unit_im: Any, usable: Any, re: Any, im: Any, mean: Any, tangential: Any,

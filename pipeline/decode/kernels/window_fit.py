@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import inline, serial
+from pipeline.common.jit import inline, linked
 
 F32 = NDArray[np.float32]
 
@@ -60,7 +60,7 @@ def step_of(
     return c, s, one if both | (not forward) else zero, one if both | forward else zero
 
 
-@serial
+@linked
 def continue_ends(
     re: Any, im: Any, first: int, last: int, count: int, nominal_c: float, nominal_s: float, agreeing: float
 ) -> None:
@@ -74,7 +74,7 @@ def continue_ends(
             re[here - inwards], im[here - inwards] = x * c + y * s, y * c - x * s
 
 
-@serial
+@linked
 def continue_row(unit_re0: Any, unit_im0: Any, unit_re1: Any, unit_im1: Any, re: Any, im: Any) -> None:
     """Unit phasors (n,) of the row beyond row 0: the plane of that row and of row 1 on its other side."""
     for j in range(re.shape[0]):
@@ -83,7 +83,7 @@ def continue_row(unit_re0: Any, unit_im0: Any, unit_re1: Any, unit_im1: Any, re:
         re[j], im[j] = x * c - y * s, y * c + x * s
 
 
-@serial
+@linked
 def fold(
     unit_re0: Any, unit_im0: Any, unit_re1: Any, unit_im1: Any, unit_re2: Any, unit_im2: Any,
     w0: Any, c0: Any, s0: Any, a0: Any, v0: Any, w1: Any, c1: Any, s1: Any, a1: Any, v1: Any,
@@ -114,7 +114,7 @@ def fold(
         sum_v[j] = v1[j] + back * back * v0[j] + ahead * ahead * v2[j]
 
 
-@serial
+@linked
 def fold_far(
     unit_re0: Any, unit_im0: Any, unit_re1: Any, unit_im1: Any, unit_re2: Any, unit_im2: Any,
     far_re0: Any, far_im0: Any, far_re2: Any, far_im2: Any,

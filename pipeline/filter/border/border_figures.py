@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.common.jit import allocating, inline, serial
+from pipeline.common.jit import allocating, inline, linked, serial
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.filter.border.border_model import FIGURES
@@ -52,7 +52,7 @@ class Planes(NamedTuple):
     sigma: Any
 
 
-@serial
+@linked
 def _gather(p: Any, losses: Any, at: Any, depth_at: Any, own: Any, ahead: int, depth_ahead: int, t: Any) -> None:
     """Values of one neighbour of every pixel into the slots up to DEPTH.
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import allocating, serial
+from pipeline.common.jit import allocating_linked, linked, serial
 from pipeline.match.match_result import PIXEL_STEPS
 
 REACH = 2
@@ -81,7 +81,7 @@ def border_of_row(label: Any, right_u: Any, i: int, across: Any, down: Any, out:
     out[:REACH], out[width - REACH :] = _NO, _NO
 
 
-@allocating
+@allocating_linked
 def pixels_of_band(label: Any, right_u: Any, band: int, at: Any) -> int:
     """Border pixels of a band into ``at`` (ROWS W + 1, 2) int32, rows and columns; their number."""
     height, width = label.shape
@@ -104,7 +104,7 @@ def pixels_of_band(label: Any, right_u: Any, band: int, at: Any) -> int:
     return n
 
 
-@serial
+@linked
 def distance_right(label: Any, right_u: Any, j: int) -> Any:
     """Distance to the border along the row in the right image, in :data:`RIGHT_STEPS`, at most 2."""
     k, width, least = label[j], label.shape[0], 2 * RIGHT_STEPS

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import allocating, serial
+from pipeline.common.jit import allocating_linked, linked
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.filter.border.border_figures import SLOTS, figures, figures_of
@@ -28,7 +28,7 @@ def largest_odds(probability: float) -> np.float32:
     return np.float32(log(probability / (1 - probability)) if probability < 1 else np.inf)
 
 
-@allocating
+@allocating_linked
 def log_odds(x: Any, wrong: Any, out: Any) -> None:
     """Logarithms of the odds that points are wrong, (TILE,).
 
@@ -49,7 +49,7 @@ def log_odds(x: Any, wrong: Any, out: Any) -> None:
             out[m] += x[k, m] * inner[m]
 
 
-@serial
+@linked
 def log_variance(x: Any, spread: Any, out: Any) -> None:
     """Logarithms of the variance in units of that of the noise, (TILE,); ``spread``: (1 + 2 n,) coefficients."""
     out[:] = spread[0]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.filter.local_outliers import RADIUS
 
@@ -17,7 +17,7 @@ REACH = 2
 """Half width of the neighbourhood that is compared, pixels."""
 
 
-@serial
+@linked
 def _label_changes(above: Any, here: Any, below: Any, out: Any) -> None:
     """1 where one of the eight neighbours has another label; the row's ends are edges."""
     n = here.shape[0]
@@ -29,7 +29,7 @@ def _label_changes(above: Any, here: Any, below: Any, out: Any) -> None:
     out[0], out[n - 1] = np.uint8(here[0] != 0), np.uint8(here[n - 1] != 0)
 
 
-@serial
+@linked
 def _edge_score(label: Any, deviation: Any, losses: Any, i: int, j: int) -> tuple[Any, int]:
     """Mean loss of the surface's pixels within REACH, and how many of the eight neighbours belong to it."""
     height, width = label.shape
@@ -55,7 +55,7 @@ def _edge_score(label: Any, deviation: Any, losses: Any, i: int, j: int) -> tupl
     return total / np.float32(n), beside - 1
 
 
-@serial
+@linked
 def _agrees_with_projector(label: Any, first: Any, second: Any, i: int, j: int, calm: Any) -> Any:
     """Whether a pixel inside a surface has a mean square of the smaller residual around it of at most ``calm``."""
     height, width = label.shape

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked, serial
 
 BLOCKS = 64
 """Blocks that are processed together."""
@@ -17,7 +17,7 @@ LONGEST = 8 * BLOCKS
 _1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
 
 
-@serial
+@linked
 def _deal_2(values: Any, at: Any, count: int, out: Any, to: Any) -> None:
     """See :func:`deal`."""
     odd = to + np.uint64(SPACING)
@@ -26,7 +26,7 @@ def _deal_2(values: Any, at: Any, count: int, out: Any, to: Any) -> None:
         out[to + k], out[odd + k] = values[at + _2 * k], values[at + _2 * k + _1]
 
 
-@serial
+@linked
 def _deal_4(values: Any, at: Any, count: int, out: Any, to: Any) -> None:
     """See :func:`deal`."""
     b, c, d = to + np.uint64(SPACING), to + np.uint64(2 * SPACING), to + np.uint64(3 * SPACING)
@@ -38,7 +38,7 @@ def _deal_4(values: Any, at: Any, count: int, out: Any, to: Any) -> None:
         )  # fmt: skip
 
 
-@serial
+@linked
 def deal(values: Any, at: Any, n: int, count: int, out: Any, to: Any) -> None:
     """Distribute n ``count`` values from number ``at`` on over n rows, SPACING apart, from number ``to`` on.
 

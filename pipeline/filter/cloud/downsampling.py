@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import inline, serial
+from pipeline.common.jit import inline, linked, serial
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import root
 from pipeline.filter.cloud.block_rows import BLOCKS, LONGEST, SPACING, deal, split
@@ -31,7 +31,7 @@ _ZERO, _ONE, _TWO, _NAN = np.float32(0), np.float32(1), np.float32(2), np.float3
 _1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
 
 
-@serial
+@linked
 def _count_points(planes: Any, q: Any, filled: Any, s: Any) -> None:
     """Count a pixel of each block; ``filled``: number of its row of marks in ``planes``, 1 where interpolated."""
     for j in range(BLOCKS):
@@ -40,7 +40,7 @@ def _count_points(planes: Any, q: Any, filled: Any, s: Any) -> None:
         s[_MEASURED + j] += _ONE - planes[filled + np.uint64(j)] if value == value else _ZERO
 
 
-@serial
+@linked
 def _omit_filled(planes: Any, q: Any, filled: Any, counted: Any, s: Any) -> None:
     """Inverse depth of a pixel of each block, NaN where it does not count; to row ``counted``."""
     for j in range(BLOCKS):
@@ -48,7 +48,7 @@ def _omit_filled(planes: Any, q: Any, filled: Any, counted: Any, s: Any) -> None
         planes[counted + np.uint64(j)] = planes[q + np.uint64(j)] if use else _NAN
 
 
-@serial
+@linked
 def _tangents(planes: Any, here: Any, left: Any, right: Any, up: Any, down: Any, noise: Any, s: Any) -> None:
     """Tangent planes at a pixel of each block; the arguments are the rows' numbers in ``planes``."""
     for j in range(BLOCKS):

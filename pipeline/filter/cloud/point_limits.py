@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.common.parallel_for import parallel, parallel_allocating
 
 _NAN = np.float32(np.nan)
@@ -25,7 +25,7 @@ def noise_limit(i: int, limit: Any, xyz: Any, sigma: Any) -> None:
             xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
 
 
-@serial
+@linked
 def _load_row(points: Any, row: Any) -> None:
     """Coordinates of a row (3 W,) as (3, W + 2), with an unknown point before and after it."""
     x, y, z = row[0, 1:], row[1, 1:], row[2, 1:]
@@ -33,7 +33,7 @@ def _load_row(points: Any, row: Any) -> None:
         x[j], y[j], z[j] = points[3 * j], points[3 * j + 1], points[3 * j + 2]
 
 
-@serial
+@linked
 def _mark_row(above: Any, here: Any, below: Any, limit: Any, alone: Any) -> Any:
     """Mark the known points with too few neighbours, and return their number; ``limit`` is squared."""
     count = 0

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import inline, serial
+from pipeline.common.jit import inline, linked, serial
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE, root
 from pipeline.filter.cloud.surface_tangent import NEVER, ON_PLANE, slope
@@ -37,7 +37,7 @@ def kernel(sigma_px: float) -> NDArray[np.float32]:
     return np.outer(line, line).astype(np.float32)
 
 
-@serial
+@linked
 def _tangents(q: Any, variance: Any, at: Any, pitch: Any, s: Any) -> None:
     """Slopes of the tangent planes of TILE pixels from number ``at`` on; without one no pixel along is on the plane."""
     for j in range(TILE):

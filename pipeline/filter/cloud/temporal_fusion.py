@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked, serial
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import root
 
@@ -88,7 +88,7 @@ def find_motion(band: int, xyz: Any, sigma: Any, depth: Any, variance: Any, movi
                 rest[band, 1] += s[2 * COLUMNS + first : 2 * COLUMNS + last].sum() - cut
 
 
-@serial
+@linked
 def _moves(s: Any, first: int, last: int) -> Any:
     """Whether a tile's columns ``first`` to ``last`` - 1 contradict the average, 0 or 1; see :func:`_compare`."""
     total, squares, both, one = _ZERO, _ZERO, _ZERO, _ZERO

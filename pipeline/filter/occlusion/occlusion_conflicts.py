@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import allocating, serial
+from pipeline.common.jit import allocating, linked
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.match.match_result import PIXEL_STEPS
 
@@ -55,7 +55,7 @@ class Claims(NamedTuple):
         return Claims(np.zeros(parts, np.int32), *(np.empty((parts, most), t) for t in types))
 
 
-@serial
+@linked
 def _any_shared(number: Any, box: Any, across: int) -> bool:
     for y in range(box[2], box[3] + 1):
         for x in range(box[0], box[1] + 1):
@@ -128,7 +128,7 @@ def nearest_and_farthest(entries: Any, places: Any, depth: Any, near: Any, far: 
                 far[c] = e
 
 
-@serial
+@linked
 def _differ(surface: Any, value: Any, e: int, other: int, tolerance: int) -> bool:
     return bool(surface[e] != surface[other] and abs(np.int64(np.int16(value[e] - value[other]))) > tolerance)
 
@@ -160,7 +160,7 @@ def find_conflicts(
             against[part, surfaces[e]] += 1
 
 
-@serial
+@linked
 def _keeps_pixel(label: int, depth: float, other: int, other_depth: float, size: Any, share: Any, sure: int) -> bool:
     """Whether a claim keeps its pixel against another one.
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked, serial
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.filter.occlusion import occlusion_conflicts
 from pipeline.filter.occlusion.occlusion_conflicts import TILE_COLUMNS, TILE_ROWS
@@ -28,20 +28,20 @@ _NOWHERE, _ZERO = OUTSIDE, np.uint16(0)
 BLOCK_STEPS = 8 * PIXEL_STEPS
 
 
-@serial
+@linked
 def _masked(valid: Any, x: Any, out: Any) -> None:
     for j in range(valid.shape[0]):
         here = x[j]
         out[j] = here if valid[j] != 0 else _NOWHERE
 
 
-@serial
+@linked
 def _least_known(x: Any, low: Any) -> None:
     for j in range(x.shape[0]):
         low[j] = x[j] if x[j] < low[j] else low[j]
 
 
-@serial
+@linked
 def _most_known(x: Any, high: Any) -> None:
     """``high`` is one more than the coordinate, modulo 16 bits: unknown ones are 0, without a test."""
     for j in range(x.shape[0]):
@@ -49,7 +49,7 @@ def _most_known(x: Any, high: Any) -> None:
         high[j] = a if a > high[j] else high[j]
 
 
-@serial
+@linked
 def _least_label(label: Any, low: Any) -> None:
     """``low`` is one less than the label, modulo 16 bits: none is the largest, without a test."""
     for j in range(label.shape[0]):
@@ -63,13 +63,13 @@ def _least(a: Any, b: Any, out: Any) -> None:
         out[j] = a[j] if a[j] < b[j] else b[j]
 
 
-@serial
+@linked
 def _most(a: Any, b: Any, out: Any) -> None:
     for j in range(out.shape[0]):
         out[j] = a[j] if a[j] > b[j] else b[j]
 
 
-@serial
+@linked
 def _least_of_16(x: Any, y: Any, n: int) -> None:
     """The least of 16 elements from each of the first n on, in place; ``y`` is scratch."""
     _least(x, x[8:], y[: n + 7])
@@ -78,7 +78,7 @@ def _least_of_16(x: Any, y: Any, n: int) -> None:
     _least(y, y[1:], x[:n])
 
 
-@serial
+@linked
 def _most_of_16(x: Any, y: Any, n: int) -> None:
     _most(x, x[8:], y[: n + 7])
     _most(y, y[4:], x[: n + 3])
@@ -86,7 +86,7 @@ def _most_of_16(x: Any, y: Any, n: int) -> None:
     _most(y, y[1:], x[:n])
 
 
-@serial
+@linked
 def _claim(owner: Any, block: int, surface: Any) -> None:
     if owner[block] != surface:
         owner[block] = surface if owner[block] == NOBODY else SEVERAL
@@ -154,7 +154,7 @@ def claim_blocks(
                             _claim(mine, y * across + x, np.int32(label[i, m]) - 1)
 
 
-@serial
+@linked
 def _join(a: Any, b: Any) -> None:
     for j in range(a.shape[0]):
         other = a[j] if b[j] == NOBODY else SEVERAL

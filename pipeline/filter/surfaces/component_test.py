@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.connected_components import Surfaces
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.common.parallel_for import parallel
 from pipeline.filter.occlusion.uniqueness import PARTS
 from pipeline.filter.surfaces.surface_evidence import DISTINCT, Figures, log_likelihood_ratio, ratio_of_inside
@@ -71,7 +71,7 @@ def _sums(
             total[_PIXELS, part, k] += pixels
 
 
-@serial
+@linked
 def _own_loss(valid: Any, mean: Any, valid0: Any, mean0: Any, per: Any, losses: Any) -> tuple[Any, int]:
     """Sum of the losses between pixels (n,) and others of the same surface, and how many are both known."""
     loss, pairs = np.int64(0), 0

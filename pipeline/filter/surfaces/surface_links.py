@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.connected_components import LEFT, UP
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked
 from pipeline.common.parallel_for import parallel
 from pipeline.match.match_result import PIXEL_STEPS, TURN_STEPS
 
@@ -17,7 +17,7 @@ _PHASE_STEP = int(1.2 / (2 * pi) * TURN_STEPS)
 _MATCH_STEP = int(1.5 * PIXEL_STEPS)
 
 
-@serial
+@linked
 def _continues(
     a: Any, b: Any, a_u: Any, b_u: Any, a_v: Any, b_v: Any, step: Any, du: int, dv: int, bit: Any, out: Any
 ) -> None:  # fmt: skip

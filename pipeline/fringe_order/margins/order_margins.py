@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import allocating
+from pipeline.common.jit import allocating, allocating_linked
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 
@@ -195,7 +195,7 @@ def least_margins(
                     out[k] = min(out[k], np.float32(0.0))
 
 
-@allocating
+@allocating_linked
 def _mean_own(group: Any, own: Any, first: Any, count: Any, costs: Any, groups: int) -> Any:
     """Mean cost of each group's pixels with their own orders, (groups,); arguments as of :func:`least_margins`."""
     total, pixels = np.zeros(groups), np.zeros(groups, np.int32)

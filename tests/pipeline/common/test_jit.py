@@ -1,11 +1,13 @@
-"""Functions that count no references to arrays receive no array from a function that does: nothing would release it."""
+"""Functions that count no references to arrays receive no array from a function that does: nothing would release it.
+Linked functions have no machine code of their own, and are called by compiled ones only."""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
 from collections.abc import Iterator
-from types import ModuleType
+from pathlib import Path
+from types import CodeType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
 import pipeline
-from pipeline.common.jit import allocating, serial
+from pipeline.common.jit import allocating, inline, linked, serial
 from pipeline.common.parallel_for import ParallelFor, parallel, parallel_allocating
 
 
@@ -48,6 +50,59 @@ def test_no_kernel_without_counts_calls_one_that_counts() -> None:
     kernels = [function for module in modules() for function in filter(None, map(compiled, vars(module).values()))]
     assert sum(map(counts, kernels)) > 20 and sum(not counts(one) for one in kernels) > 200
     assert not [problem for module in modules() for problem in misuses(vars(module))]
+
+
+def calls_from_python(module: ModuleType) -> list[str]:
+    """Functions that are not compiled, and name one without machine code."""
+    values = vars(module)
+    kernels = {function.py_func.__code__.co_firstlineno for function in filter(None, map(compiled, values.values()))}
+    without = {name for name, value in values.items() if isinstance(value, Dispatcher) and is_linked(value)}
+    code = compile(Path(str(module.__file__)).read_text(encoding="utf-8"), str(module.__file__), "exec")
+    plain = [one for one in nested(code) if one is not code and one.co_firstlineno not in kernels]
+    return [f"{one.co_qualname}: {name}" for one in plain for name in one.co_names if name in without]
+
+
+def is_linked(function: Any) -> bool:
+    return bool(function.targetoptions.get("no_cpython_wrapper", False))
+
+
+def nested(code: CodeType) -> Iterator[CodeType]:
+    yield code
+    for value in code.co_consts:
+        if isinstance(value, CodeType):
+            yield from nested(value)
+
+
+def test_linked_functions_are_called_by_compiled_ones_only() -> None:
+    kernels = [function for module in modules() for function in filter(None, map(compiled, vars(module).values()))]
+    assert sum(map(is_linked, kernels)) > 200 and sum(not is_linked(one) for one in kernels) > 50
+    assert not [problem for module in modules() for problem in calls_from_python(module)]
+
+
+@linked
+def _halved(x: float) -> float:
+    return x / 2
+
+
+@inline
+def _quarter(x: float) -> float:
+    return _halved(_halved(x))
+
+
+@serial
+def _eighth(x: float) -> float:
+    return _halved(_quarter(x))
+
+
+def wrong_caller(x: float) -> float:
+    return _quarter(x)
+
+
+def test_linked_functions_get_machine_code_in_their_callers_alone() -> None:
+    assert _eighth(3.0) == 0.375
+    ((_, made),) = _halved.overloads.items()
+    assert made.library.get_pointer_to_function(made.fndesc.llvm_func_name) == 0
+    assert "wrong_caller: _quarter" in calls_from_python(importlib.import_module(__name__))
 
 
 @allocating

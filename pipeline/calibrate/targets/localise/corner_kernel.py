@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibrate.targets.localise.gauss_newton_step import add_row, decompose, solve
-from pipeline.common.jit import allocating, serial
+from pipeline.common.jit import allocating, allocating_linked, linked, serial
 
 PARAMETERS = 11
 _N = 11
@@ -53,7 +53,7 @@ def fit_corners(
         _fit(image, starts[i], windows[i], noise, blur, clip, steps, parameters[i], results[i])
 
 
-@allocating
+@allocating_linked
 def _fit(
     image: Any, start: Any, window: float, noise: Any, blur: Any, clip: float, steps: int, p: Any, out: Any
 ) -> None:
@@ -113,7 +113,7 @@ def _levels(image: Any, start: Any, window: float, p: Any) -> None:
     p[5], p[8] = 0.5 * (plus + minus), 0.5 * (plus - minus)
 
 
-@serial
+@linked
 def _move(p: Any, step: Any, window: float) -> bool:
     factor = 1.0
     for k in range(2):
@@ -131,7 +131,7 @@ def _move(p: Any, step: Any, window: float) -> bool:
     return factor == 1.0 and abs(step[0]) < 1e-3 and abs(step[1]) < 1e-3 and abs(step[4]) < 0.02
 
 
-@serial
+@linked
 def _normal_equations(
     image: Any,
     start: Any,

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibrate.targets.localise.gauss_newton_step import add_row, decompose, solve
-from pipeline.common.jit import allocating, serial
+from pipeline.common.jit import allocating, allocating_linked, linked, serial
 
 PARAMETERS = 12
 _N = 12
@@ -98,7 +98,7 @@ def _begin(image: Any, start: Any, shape: Any, reach: float, p: Any) -> bool:
     return True
 
 
-@allocating
+@allocating_linked
 def _fit(
     image: Any, start: Any, shape: Any, reach: float, noise: Any, blur: Any, clip: float, steps: int, p: Any, out: Any
 ) -> None:
@@ -133,7 +133,7 @@ def _fit(
     out[9] = 1.0 if small or moved < 0.1 * (out[0] + out[1]) else 0.0
 
 
-@serial
+@linked
 def _move(p: Any, step: Any, most: float) -> bool:
     """Take a share ``most`` of a step, less where it is too large; return whether it was negligible."""
     radius = np.sqrt(p[2] * p[4] - p[3] * p[3])
@@ -151,7 +151,7 @@ def _move(p: Any, step: Any, most: float) -> bool:
     return centre_converged and abs(step[2]) + abs(step[3]) + abs(step[4]) < 0.02
 
 
-@allocating
+@allocating_linked
 def _normal_equations(
     image: Any,
     start: Any,

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import serial
+from pipeline.common.jit import linked, serial
 
 
-@serial
+@linked
 def decompose(a: Any, n: int) -> bool:
     """Cholesky factor of the leading n x n part of ``a`` in its lower triangle; False where it is not definite."""
     for j in range(n):
