@@ -150,6 +150,7 @@ def ended(engine: object, function: Callable[..., object], *arguments: object) -
     return found[0]
 
 
+@pytest.mark.long  # starts four workers again; workers are killed above
 def test_a_killed_worker_is_explained(engine: DaskEngine) -> None:
     reason = ended(engine, suicidal)
     assert "2 worker processes died doing it" in reason

@@ -83,7 +83,7 @@ def test_everything_is_calibrated_from_start_to_file(tmp_path: Path, poses: int)
     assert "no daemon is running" in process.stderr and f"view {poses} of 12 accepted" in process.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.long  # tests/daemon/apps/calibration/guided has the captures of a daemon in the same process
 @pytest.mark.timeout(400)
 def test_a_running_daemon_captures_the_images_and_continues_measuring(tmp_path: Path) -> None:
     rig = rig_file(tmp_path, poses=3)
