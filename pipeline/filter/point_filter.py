@@ -25,7 +25,8 @@ from pipeline.filter.surfaces import surface_links
 from pipeline.filter.surfaces.component_test import component_test
 from pipeline.filter.surfaces.continued_orders import continued_orders
 from pipeline.filter.surfaces.small_surfaces import reject_contradicted, reject_eroded
-from pipeline.filter.surfaces.surface_evidence import DISTINCT
+from pipeline.filter.surfaces.surface_evidence import DISTINCT, Figures
+from pipeline.filter.surfaces.unconfirmed_surfaces import reject_unconfirmed
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
 from pipeline.fringe_order.margins.order_margins import Continued
 from pipeline.geometry.ray_tables import DepthScale
@@ -131,11 +132,13 @@ class Gates:
             )
         surfaces.find(valid, self._link, self._smallest)
         reject_contradicted(self._before, valid, label, surfaces, self._large, self._stride)
-        self._test_components(match, agreement, mean, scale)
+        figures = self._test_components(match, agreement, mean, scale)
         surfaces.paint(label)
         if reject_ambiguous is not None:
-            continued = continued_orders(match, left, label, surfaces, self._large)
+            continued = continued_orders(match, left, label, surfaces, self._large, match.valid)
             reject_ambiguous(label, surfaces.sizes, continued, valid)
+        continued = continued_orders(match, left, label, surfaces, self._large, valid)
+        reject_unconfirmed(figures, continued, scale.matched_loss, surfaces, self._large, valid)
         planes = Planes(
             label, agreement.deviation, agreement.misfit, match.right_u, match.residual_normalised, match.residual,
             modulation, mean, *points,
@@ -147,8 +150,8 @@ class Gates:
         reject_eroded(valid, surfaces, self._smallest)
         return valid
 
-    def _test_components(self, match: MatchResult, agreement: Agreement, mean: Any, scale: Scale) -> None:
-        component_test(
+    def _test_components(self, match: MatchResult, agreement: Agreement, mean: Any, scale: Scale) -> Figures:
+        return component_test(
             self._valid, match, agreement.deviation, mean, self._surfaces, self._large, scale,
             self._settings.cluster_phase_threshold, self._phase_weight, self._stride,
         )  # fmt: skip

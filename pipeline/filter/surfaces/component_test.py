@@ -148,8 +148,8 @@ def _reject_deviating(
 def component_test(
     valid: NDArray[np.uint8], match: MatchResult, deviation: NDArray[np.uint8], mean: NDArray[np.uint8],
     surfaces: Surfaces, large: int, scale: Scale, largest_rms: float, phase_weight: float, stride: int = 1,
-) -> None:  # fmt: skip
-    """Reject surfaces that texture and projector contradict; ``valid`` is changed.
+) -> Figures:  # fmt: skip
+    """Reject surfaces that texture and projector contradict, and return the figures of all; ``valid`` is changed.
 
     Args:
         mean: (H, W) of the left image, counts.
@@ -174,6 +174,7 @@ def component_test(
     rejected = (figures.rms > largest_rms) | (doubtful & ~partly)
     reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
     _reject_deviating(len(valid), partly, f.start, f.stop, f.count, f.first, f.surface, deviation, valid)
+    return figures
 
 
 def _figures(total: NDArray[np.float64], least_pairs: float) -> Figures:

@@ -39,20 +39,22 @@ the one beyond the border that it is compared with; those between see both sides
 
 
 def continued_orders(
-    match: MatchResult, left: PhaseMap, label: NDArray[np.uint16], surfaces: Surfaces, large: int
-) -> Continued:
+    match: MatchResult, left: PhaseMap, label: NDArray[np.uint16], surfaces: Surfaces, large: int,
+    matched: NDArray[np.uint8],
+) -> Continued:  # fmt: skip
     """The order by which each surface would continue what is beside it.
 
     Args:
         match, left: of the left image; label: (H, W), one more than the surface.
         large: pixels from which a surface is not tested.
+        matched: (H, W) pixels whose order counts, ``match.valid`` or less.
     """
     f = surfaces
     n = len(f.sizes)
     found = Continued.none(n)
     find_changes(
         n, boxes_of(f), f.sizes, large, f.start, f.stop, f.count, f.first, f.surface, label,
-        match.absolute_phase, match.valid, left.phase, left.valid, left.mean, *found,
+        match.absolute_phase, matched, left.phase, left.valid, left.mean, *found,
     )  # fmt: skip
     return found
 

@@ -58,7 +58,7 @@ def found(
     surfaces, label = Surfaces(patch.shape), np.empty(patch.shape, np.uint16)
     surfaces.find(matched, link, 30)
     surfaces.paint(label)
-    continued = continued_orders(match, left, label, surfaces, large)
+    continued = continued_orders(match, left, label, surfaces, large, match.valid)
     own = np.unique(label[patch & (matched > 0)]).astype(int) - 1
     others = np.setdiff1d(np.arange(len(surfaces.sizes)), own)
     assert not (known & (matched > 0)).all() or not continued.change[others].any()  # the wall is large

@@ -1,0 +1,47 @@
+"""Small surfaces that nothing beside them confirms, and that fit worse than the large ones of the same pair.
+
+What is left of a wall that one camera does not see, or that was rejected around it, lies among pixels without points:
+phase and brightness go on across its border, but no order does. A true surface ends at depth edges and shadows. Either
+may lie beside rejected pixels; a wrong order also agrees less with the projector than the large surfaces do, and its
+textures differ. See :mod:`pipeline.filter.surfaces.continued_orders` for the places along the border.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.common.connected_components import Surfaces
+from pipeline.filter.surfaces.component_test import reject_surfaces
+from pipeline.filter.surfaces.surface_evidence import Figures
+from pipeline.fringe_order.margins.order_margins import Continued
+
+LEAST_OPEN = 0.55
+"""Share of the places along the border where phase and brightness go on to pixels without a point, or with another
+order."""
+TIMES_USUAL = 1.5
+"""Residual against the projector, rms, in units of that of the large surfaces."""
+LEAST_LOSS = 0.65
+"""Mean loss of the textures' deviations, in units of that of matched pixels."""
+
+
+def reject_unconfirmed(
+    figures: Figures, continued: Continued, matched_loss: float, surfaces: Surfaces, large: int,
+    valid: NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Reject such surfaces; ``valid`` (H, W) is changed.
+
+    Args:
+        figures, continued: of the surfaces, the latter beside the points of ``valid``.
+        matched_loss: of :class:`pipeline.filter.texture_agreement.Scale`.
+        large: pixels from which a surface is one of those that are compared with; without any, all are.
+    """
+    f = surfaces
+    small = f.sizes < large
+    if not len(f.sizes):
+        return
+    usual = float(np.average(figures.rms, weights=np.where(small & ~small.all(), 0, f.sizes)))
+    unconfirmed = small & (continued.jumps + continued.unknown >= LEAST_OPEN)
+    rejected = unconfirmed & (figures.rms >= TIMES_USUAL * usual) & (figures.mean_loss >= LEAST_LOSS * matched_loss)
+    if rejected.any():
+        reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
