@@ -1,8 +1,8 @@
 """Compilation of functions that only other compiled functions call.
 
 LLVM copies such a function into every caller, or links it to it, and generates the machine code there. numba generates
-code of the function's own as well, for calls from Python, and keeps it in the cache on disk: a seventh of the time of
-compiling all kernels.
+code of the function's own as well, for calls from Python, and keeps it in the cache on disk (what that takes:
+docs/decisions/0023).
 
 Uses internals of numba: it is pinned to one version.
 """
@@ -43,6 +43,8 @@ class _LinkedLibrary(JITCodeLibrary):  # type: ignore[misc]
 
 
 class _WithoutEnvironments:
+    """In place of numba's code generator, which would write the environment's address into machine code."""
+
     @staticmethod
     def set_env(name: str, environment: Any) -> None:
         """Nothing: see :attr:`_LinkedLibrary.codegen`."""

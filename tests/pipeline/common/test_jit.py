@@ -35,6 +35,10 @@ def modules() -> Iterator[ModuleType]:
         yield importlib.import_module(found.name)
 
 
+def kernels_of_all() -> list[Any]:
+    return [function for module in modules() for function in filter(None, map(compiled, vars(module).values()))]
+
+
 def misuses(values: dict[str, Any]) -> list[str]:
     """Functions of a module that count no references, with each that they call and that does."""
     found = []
@@ -47,7 +51,7 @@ def misuses(values: dict[str, Any]) -> list[str]:
 
 
 def test_no_kernel_without_counts_calls_one_that_counts() -> None:
-    kernels = [function for module in modules() for function in filter(None, map(compiled, vars(module).values()))]
+    kernels = kernels_of_all()
     assert sum(map(counts, kernels)) > 20 and sum(not counts(one) for one in kernels) > 200
     assert not [problem for module in modules() for problem in misuses(vars(module))]
 
@@ -74,7 +78,7 @@ def nested(code: CodeType) -> Iterator[CodeType]:
 
 
 def test_linked_functions_are_called_by_compiled_ones_only() -> None:
-    kernels = [function for module in modules() for function in filter(None, map(compiled, vars(module).values()))]
+    kernels = kernels_of_all()
     assert sum(map(is_linked, kernels)) > 200 and sum(not is_linked(one) for one in kernels) > 50
     assert not [problem for module in modules() for problem in calls_from_python(module)]
 
