@@ -124,6 +124,9 @@ HARD = (
     Case("out of focus", "mixed", Optics(psf_px=1.3)),
     Case("strong colours", "colors"),
     Case("strong colours, Bayer", "colors", encoding="bayer_rggb8"),
+    Case("print", "printed"),
+    Case("print, Bayer", "printed", encoding="bayer_rggb8"),
+    Case("print, middle", "printed", layout=MIDDLE),
 )
 """Scenes and rigs in which wrong points and false surfaces arise; :mod:`benchmarks.trust` measures them."""
 

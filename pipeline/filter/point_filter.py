@@ -22,6 +22,7 @@ from pipeline.filter.local_outliers import MOST_MEAN, ROWS, drop_mixed_edges, lo
 from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.occlusion.uniqueness import Uniqueness
 from pipeline.filter.surfaces import surface_links
+from pipeline.filter.surfaces.brightness_edges import DividedSurfaces
 from pipeline.filter.surfaces.component_test import component_test
 from pipeline.filter.surfaces.continued_orders import continued_orders
 from pipeline.filter.surfaces.small_surfaces import reject_contradicted, reject_eroded
@@ -37,6 +38,8 @@ LARGEST_MEAN_RAD, TIMES_USUAL = 0.18, 5
 sees and that are matched to the surface before them have 0.2 to 0.4 and err by millimetres. The second: how many times
 the median of the image it is at least, since the means of a projector with an inexact calibration are large everywhere.
 """
+_SMALLER_PARTS = 4
+"""How many times smaller than the smallest surface a part of one is whose orders are judged."""
 LARGE_SHARE = 0.01
 """Share of the image from which a surface's texture is not tested as a whole."""
 HIGH = 3 * DEVIATION_STEPS
@@ -82,7 +85,7 @@ class Gates:
         self._valid, self._before, self._link = (np.empty(shape, np.uint8) for _ in range(3))
         self._large = max(20 * self._smallest, int(LARGE_SHARE * self._valid.size))
         self._label = np.empty(shape, np.uint16)
-        self._surfaces = Surfaces(shape)
+        self._surfaces, self._divided = Surfaces(shape), DividedSurfaces(shape)
         self._unique = Uniqueness(shape, (right, projector))
 
     def certain(
@@ -135,6 +138,8 @@ class Gates:
         figures = self._test_components(match, agreement, mean, scale)
         surfaces.paint(label)
         if reject_ambiguous is not None:
+            if self._phase_weight < DISTINCT:
+                self._reject_ambiguous_parts(match, left, reject_ambiguous)
             continued = continued_orders(match, left, label, surfaces, self._large, match.valid)
             reject_ambiguous(label, surfaces.sizes, continued, valid)
         continued = continued_orders(match, left, label, surfaces, self._large, valid)
@@ -149,6 +154,13 @@ class Gates:
         )  # fmt: skip
         reject_eroded(valid, surfaces, self._smallest)
         return valid
+
+    def _reject_ambiguous_parts(self, match: MatchResult, left: PhaseMap, reject_ambiguous: RejectAmbiguous) -> None:
+        """Judge the orders of surfaces' parts between edges of the brightness, as those of surfaces."""
+        parts, valid = self._divided, self._valid
+        parts.find(valid, left.mean, self._link, max(self._smallest // _SMALLER_PARTS, 1))
+        continued = continued_orders(match, left, parts.label, parts.surfaces, self._large, match.valid)
+        reject_ambiguous(parts.label, parts.surfaces.sizes, continued, valid)
 
     def _test_components(self, match: MatchResult, agreement: Agreement, mean: Any, scale: Scale) -> Figures:
         return component_test(

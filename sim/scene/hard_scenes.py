@@ -1,14 +1,17 @@
-"""Scenes in which wrong points arise: rims, slots, thin bars, steep sides, occlusion, gloss, limits of the volume.
+"""Scenes in which wrong points arise: rims, slots, bars, steep sides, occlusion, gloss, print, limits of the volume.
 
 Stage coordinates as in :mod:`sim.scene.named_scenes`; the standard field is about 420 x 335 mm, 230 mm deep.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from sim.scene.printed_marks import Ink
 from sim.scene.scene import SKIN, Scene, board
-from sim.scene.shapes import COLORED, Shape, Texture, box, cylinder, rectangle, relief, sphere
+from sim.scene.shapes import COLORED, Shape, Texture, Triple, box, cylinder, rectangle, relief, sphere
 
 _STAINS = Texture(smooth=0.2, smooth_mm=30.0, speckle=0.05, speckle_mm=2.5)
 
@@ -184,3 +187,42 @@ def strong_colors() -> Scene:
             relief(90, 110, 40).placed((60, 75, 35), albedo=(0.65, 0.16, 0.14)),
         ),
     )
+
+
+def printed() -> Scene:
+    """Plates with print on them before a bare wall: a chessboard, discs, lines as far apart as the fringes, letters."""
+    fields = [(10.0 * i - 60, 10.0 * j - 45) for i in range(12) for j in range(i % 2, 9, 2)]
+    chessboard = [(x, y, x + 10, y + 10) for x, y in fields]
+    discs = [(10.0 * i - 50, 10.0 * j - 40, 4.0) for i in range(11) for j in range(9)]
+    lines = [(4.0 * k - 70, -50.0, 4.0 * k - 68, 50.0) for k in range(35)]
+    return Scene(
+        "printed",
+        (
+            board(0.8),
+            _print(squares=chessboard).placed((-105, -75, 10), turn=(0.1, 0.3, 0.1), albedo=0.9),
+            _print(discs=discs).placed((90, -70, -10), turn=(0.2, -0.3, -0.1), albedo=0.9),
+            _print(squares=lines).placed((-90, 70, 20), turn=(-0.1, 0.2, 0.05), albedo=0.9),
+            _print(squares=_letters(6.0)).placed((90, 75, 0), turn=(0.2, 0.3, 0.0), albedo=0.9),
+        ),
+    )
+
+
+def _print(*, discs: Sequence[Triple] = (), squares: Sequence[tuple[float, float, float, float]] = ()) -> Shape:
+    """A plate with these black marks on its front."""
+    marks = Ink(np.array(discs, float).reshape(-1, 3), np.array(squares, float).reshape(-1, 4), 0.07)
+    return rectangle(150, 110, ink=marks)
+
+
+def _letters(size_mm: float) -> list[tuple[float, float, float, float]]:
+    """Strokes of a page of letters: each one or two uprights, and a bar between them at one of three heights."""
+    rng, stroke, strokes = np.random.default_rng(3), 0.16 * size_mm, []
+    for y in np.arange(-48.0, 48.0 - size_mm, 1.7 * size_mm):
+        for x in np.arange(-70.0, 70.0 - size_mm, 0.9 * size_mm):
+            if rng.random() < 0.15:
+                continue  # a space between words
+            height = y + size_mm * rng.choice([0.0, 0.42, 0.84])
+            strokes.append((x, y, x + stroke, y + size_mm))
+            strokes.append((x + stroke, height, x + 0.45 * size_mm, height + stroke))
+            if rng.random() < 0.5:
+                strokes.append((x + 0.45 * size_mm, y, x + 0.45 * size_mm + stroke, y + size_mm))
+    return strokes

@@ -146,5 +146,6 @@ _SCENES: dict[str, Callable[[], Scene]] = {
     "beyond": hard_scenes.beyond_volume,
     "cast": hard_scenes.cast,
     "colors": hard_scenes.strong_colors,
+    "printed": hard_scenes.printed,
 }
 NAMES = (*_SCENES, "mesh")

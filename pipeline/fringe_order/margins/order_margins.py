@@ -50,7 +50,7 @@ CLEAR_GAIN, CLEAR_SHARE = 0.03, 0.5
 likelihood from which they do, see :class:`pipeline.reconstruct.column_correction.OffsetLikelihood`."""
 VAGUE_GAIN, VAGUE_SHARE = 0.01, 0.25
 """The same where hardly any does, and another offset explains the pair as well: all of a wall may have wrong orders."""
-MOST_REJECTED = 0.5
+MOST_REJECTED = 0.25
 """Share of the pixels of all surfaces that may be rejected where the fringes repeat. Where more are, orders that win
 clearly are wrong as well, and groups with which any other order competes get no points."""
 
