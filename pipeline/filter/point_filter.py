@@ -27,9 +27,9 @@ from pipeline.filter.surfaces.component_test import component_test
 from pipeline.filter.surfaces.continued_orders import continued_orders
 from pipeline.filter.surfaces.small_surfaces import reject_contradicted, reject_eroded
 from pipeline.filter.surfaces.surface_evidence import DISTINCT, Figures
-from pipeline.filter.surfaces.unconfirmed_surfaces import reject_unconfirmed
+from pipeline.filter.surfaces.unconfirmed_surfaces import reject_open, reject_unconfirmed
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
-from pipeline.fringe_order.margins.order_margins import Continued
+from pipeline.fringe_order.margins.order_margins import MOST_REJECTED, Continued
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, MatchResult, Points
 
@@ -52,9 +52,9 @@ MISFIT_OF = np.rint(np.array(EDGE_MISFIT_RAD) * MISFIT_STEPS).astype(np.uint8)
 _LOSS = LOSS.astype(np.float32)
 
 
-RejectAmbiguous = Callable[[NDArray[np.uint16], NDArray[np.int32], Continued, NDArray[np.uint8]], None]
+RejectAmbiguous = Callable[[NDArray[np.uint16], NDArray[np.int32], Continued, NDArray[np.uint8]], float]
 """Rejects surfaces whose fringe orders do not win clearly: of label (H, W), sizes (n,) and continued orders (n,), in
-``valid`` (H, W); see :mod:`pipeline.fringe_order.margins.order_margins`."""
+``valid`` (H, W); returns their share of all pixels. See :mod:`pipeline.fringe_order.margins.order_margins`."""
 
 
 class Gates:
@@ -160,7 +160,9 @@ class Gates:
         parts, valid = self._divided, self._valid
         parts.find(valid, left.mean, self._link, max(self._smallest // _SMALLER_PARTS, 1))
         continued = continued_orders(match, left, parts.label, parts.surfaces, self._large, match.valid)
-        reject_ambiguous(parts.label, parts.surfaces.sizes, continued, valid)
+        if reject_ambiguous(parts.label, parts.surfaces.sizes, continued, valid) > MOST_REJECTED:
+            continued = continued_orders(match, left, parts.label, parts.surfaces, self._large, valid)
+            reject_open(continued, parts.surfaces, self._large, valid)
 
     def _test_components(self, match: MatchResult, agreement: Agreement, mean: Any, scale: Scale) -> Figures:
         return component_test(

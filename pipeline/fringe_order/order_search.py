@@ -79,20 +79,25 @@ class OrderSearch:
         self, reference: PhaseMap, other: PhaseMap, correction: F64, limits: Limits,
         order: NDArray[np.int16], stride: int, label: NDArray[np.uint16], sizes: NDArray[np.int32],
         continued: Continued, valid: NDArray[np.uint8],
-    ) -> None:  # fmt: skip
+    ) -> float:  # fmt: skip
         """Reject surfaces, large ones in cells, whose orders do not win clearly, see :mod:`.margins.order_margins`.
 
         Args:
             order, label: (H / stride, W / stride) order, and one more than the surface, of every n-th pixel.
             sizes: pixels of each surface; continued: of the surfaces.
             valid: (H / stride, W / stride), changed.
+
+        Returns:
+            Share of the surfaces' pixels that are rejected because their orders do not win clearly.
         """
-        if limits.margin > 0:
-            groups = Groups(label, sizes, CELL // stride)
-            margins = self._fine.margins(reference, other, correction, limits, order, stride, groups, continued)
-            share = groups.reject(margins < limits.margin, limits.ambiguous_share, valid)
-            # The second call has no rows where nothing is to be rejected.
-            groups.reject_each(np.isfinite(margins) & (share > limits.most_rejected), valid)
+        if limits.margin <= 0:
+            return 0.0
+        groups = Groups(label, sizes, CELL // stride)
+        margins = self._fine.margins(reference, other, correction, limits, order, stride, groups, continued)
+        share = groups.reject(margins < limits.margin, limits.ambiguous_share, valid)
+        # The second call has no rows where nothing is to be rejected.
+        groups.reject_each(np.isfinite(margins) & (share > limits.most_rejected), valid)
+        return share
 
     def reject_contradicted(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, order: NDArray[np.int16]

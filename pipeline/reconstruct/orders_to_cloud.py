@@ -36,7 +36,7 @@ from pipeline.rig.volume import Volume
 _TOLERANCE = 0.02
 _SEARCHED = np.float32(-_TOLERANCE), np.float32(1 + _TOLERANCE)
 RejectByOrders = Callable[
-    [NDArray[np.int16], int, NDArray[np.uint16], NDArray[np.int32], Continued, NDArray[np.uint8]], None
+    [NDArray[np.int16], int, NDArray[np.uint16], NDArray[np.int32], Continued, NDArray[np.uint8]], float
 ]
 
 

@@ -219,7 +219,7 @@ def _letters(size_mm: float) -> list[tuple[float, float, float, float]]:
     for y in np.arange(-48.0, 48.0 - size_mm, 1.7 * size_mm):
         for x in np.arange(-70.0, 70.0 - size_mm, 0.9 * size_mm):
             if rng.random() < 0.15:
-                continue  # a space between words
+                continue  # a gap in the line
             height = y + size_mm * rng.choice([0.0, 0.42, 0.84])
             strokes.append((x, y, x + stroke, y + size_mm))
             strokes.append((x + stroke, height, x + 0.45 * size_mm, height + stroke))

@@ -25,6 +25,18 @@ LEAST_LOSS = 0.65
 """Mean loss of the textures' deviations, in units of that of matched pixels."""
 
 
+def reject_open(continued: Continued, surfaces: Surfaces, large: int, valid: NDArray[np.uint8]) -> None:
+    """Reject all such surfaces however well they fit, for pairs that are ambiguous for a good part.
+
+    There wrong orders fit as well as right ones, and a wall's remains lie among its rejected parts; arguments as of
+    :func:`reject_unconfirmed`.
+    """
+    f = surfaces
+    rejected = (f.sizes < large) & (continued.jumps + continued.unknown >= LEAST_OPEN)
+    if rejected.any():
+        reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
+
+
 def reject_unconfirmed(
     figures: Figures, continued: Continued, matched_loss: float, surfaces: Surfaces, large: int,
     valid: NDArray[np.uint8],

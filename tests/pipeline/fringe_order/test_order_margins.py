@@ -158,7 +158,8 @@ def test_where_much_is_rejected_and_fringes_repeat_orders_with_competitors_give_
     valid = (label > 0).astype(np.uint8)
     limits, order = Limits(0.05, np.empty(0), even=even), label.astype(np.int16)
     none = Continued.none(len(sizes))
-    made.searches[0].reject_ambiguous(left, right, made.correction, limits, order, 1, label, sizes, none, valid)
+    share = made.searches[0].reject_ambiguous(left, right, made.correction, limits, order, 1, label, sizes, none, valid)
+    assert share == pytest.approx(3600 * ambiguous / (label > 0).sum(), rel=0.05)
     assert set(label[valid > 0]) == ({1} if strict else {1, ambiguous + 2})
     assert (valid[:CELL, CELL : 2 * CELL] == (0 if strict else 1)).all()
     assert valid[:CELL, :CELL].all()
@@ -336,7 +337,7 @@ def test_a_wall_whose_offset_is_vague_has_no_points() -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize(("number", "wrong", "covered"), [(11, 0.01, 0.2), (157, 0.001, 0.7)])
+@pytest.mark.parametrize(("number", "wrong", "covered"), [(11, 0.01, 0.19), (157, 0.001, 0.7)])
 def test_a_surface_that_no_order_explains_must_win_more_clearly(number: int, wrong: float, covered: float) -> None:
     """Fringes repeat on both rigs: of the first 62 % were wrong; the second is right and must keep its points."""
     found = errors_of(random_rig(number), 0)

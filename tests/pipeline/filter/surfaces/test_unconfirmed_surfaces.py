@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 
 from pipeline.common.connected_components import LEFT, UP, Surfaces
 from pipeline.filter.surfaces.surface_evidence import Figures
-from pipeline.filter.surfaces.unconfirmed_surfaces import LEAST_LOSS, LEAST_OPEN, TIMES_USUAL, reject_unconfirmed
+from pipeline.filter.surfaces.unconfirmed_surfaces import (
+    LEAST_LOSS,
+    LEAST_OPEN,
+    TIMES_USUAL,
+    reject_open,
+    reject_unconfirmed,
+)
 from pipeline.fringe_order.margins.order_margins import Continued
 
 SHAPE, LARGE = (40, 60), 500
@@ -72,3 +78,19 @@ def test_without_surfaces_nothing_happens() -> None:
         Figures(none, none, none, none, none, none, none, none), Continued.none(0), LOSS, surfaces, LARGE, valid
     )
     assert not valid.any()
+
+
+@pytest.mark.parametrize(("jumps", "unknown", "large", "kept"), [
+    (0.3, LEAST_OPEN - 0.29, LARGE, False), (0.3, LEAST_OPEN - 0.31, LARGE, True), (0.0, 1.0, 100, True),
+])  # fmt: skip
+def test_where_much_is_ambiguous_an_open_border_is_enough(jumps: float, unknown: float, large: int, kept: bool) -> None:
+    """Of a patch of 100 points beside a wall."""
+    valid = np.zeros(SHAPE, np.uint8)
+    valid[WALL], valid[PATCH] = 1, 1
+    surfaces = Surfaces(SHAPE)
+    surfaces.find(valid, np.full(SHAPE, LEFT | UP, np.uint8), 30)
+    shares = (np.array([1.0 if share else 0.0, share], np.float32) for share in (0.0, jumps, unknown))
+    reject_open(Continued(np.zeros(2, np.int32), *shares), surfaces, large, valid)
+    assert valid[WALL].all()
+    assert valid[PATCH].all() == kept
+    assert valid[PATCH].any() == kept
