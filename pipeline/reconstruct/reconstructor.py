@@ -172,13 +172,15 @@ class Reconstructor:
 
         Args:
             left, right: uint8, (H, W, 3) for rgb8, (H, W) for a mosaic, of the calibrated sizes.
-            stride: points only on every n-th pixel of every n-th row; the others are invalid.
+            stride: points only on every n-th pixel of every n-th row, 1 or 2; the others are invalid.
             use_prior: expect the orders of the pair before, if that was reconstructed with ``use_prior`` too, and
                 search only where this pair contradicts them.
 
         Raises:
-            ImageError: an image of another size or type.
+            ImageError: an image of another size or type. ValueError: another stride.
         """
+        if stride not in (1, 2):
+            raise ValueError(f"stride is {stride}, expected 1 or 2")
         if self._threads:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)

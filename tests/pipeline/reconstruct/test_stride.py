@@ -69,3 +69,10 @@ def test_resolutions_may_alternate(axis):
     for _ in range(2):
         assert same(found.reconstruct(*shown, stride=2), half)
         assert same(found.reconstruct(*shown), full)
+
+
+@pytest.mark.parametrize("stride", [0, 3])
+def test_another_stride_is_an_error(stride):
+    shown = images(pair("mixed"))
+    with pytest.raises(ValueError, match=f"stride is {stride}, expected 1 or 2"):
+        reconstructor().reconstruct(*shown, stride=stride)
