@@ -54,7 +54,7 @@ _LOSS = LOSS.astype(np.float32)
 
 RejectAmbiguous = Callable[[NDArray[np.uint16], NDArray[np.int32], Continued, NDArray[np.uint8]], float]
 """Rejects surfaces whose fringe orders do not win clearly: of label (H, W), sizes (n,) and continued orders (n,), in
-``valid`` (H, W); returns their share of all pixels. See :mod:`pipeline.fringe_order.margins.order_margins`."""
+``valid`` (H, W); returns their share of the surfaces. See :mod:`pipeline.fringe_order.margins.order_margins`."""
 
 
 class Gates:

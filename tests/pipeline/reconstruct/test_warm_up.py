@@ -10,10 +10,11 @@ from tests.pipeline.small import images, pair
 
 _PROGRAM = """
 import sys
+from dataclasses import replace
 from numba.core.registry import CPUDispatcher
 import numpy as np
 from pipeline.common.parallel_for import ParallelFor
-from tests.pipeline.small import reconstructor
+from tests.pipeline import small
 
 def compiled():
     ours = [module for name, module in list(sys.modules.items()) if name.partition(".")[0] == "pipeline"]
@@ -23,15 +24,17 @@ def compiled():
     return sum(len(kernel.signatures) for kernel in kernels.values())
 
 encoding, folder = sys.argv[1:]
-made = reconstructor(encoding=encoding)
-made.warm_up(strides=(1, 2), use_prior=True)
-before = compiled()
-for number, stride, use_prior in ((0, 1, False), (1, 1, True), (2, 2, True), (3, 1, True)):
-    left, right = (np.load(f"{folder}/{side}{number}.npy") for side in ("left", "right"))
-    for image in (left, right):
-        image.setflags(write=False)
-    made.reconstruct(left, right, stride=stride, use_prior=use_prior)
-print(before > 20, compiled() - before)
+for fraction in (0.382, 0.5):  # with the projector in the middle fringes repeat, which other kernels judge
+    small.LAYOUT = replace(small.LAYOUT, projector_fraction=fraction)
+    made = small.reconstructor(encoding=encoding)
+    made.warm_up(strides=(1, 2), use_prior=True)
+    before = compiled()
+    for number, stride, use_prior in ((0, 1, False), (1, 1, True), (2, 2, True), (3, 1, True)):
+        left, right = (np.load(f"{folder}/{side}{number}.npy") for side in ("left", "right"))
+        for image in (left, right):
+            image.setflags(write=False)
+        made.reconstruct(left, right, stride=stride, use_prior=use_prior)
+    print(before > 20, compiled() - before)
 """
 
 
@@ -49,4 +52,4 @@ def test_nothing_is_compiled_after_warming_up(encoding, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "True 0\n"
+    assert done.stdout == "True 0\nTrue 0\n"
