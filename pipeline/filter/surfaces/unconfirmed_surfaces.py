@@ -25,14 +25,21 @@ LEAST_LOSS = 0.65
 """Mean loss of the textures' deviations, in units of that of matched pixels."""
 
 
-def reject_open(continued: Continued, surfaces: Surfaces, large: int, valid: NDArray[np.uint8]) -> None:
-    """Reject all such surfaces however well they fit, for pairs that are ambiguous for a good part.
+def reject_open(
+    continued: Continued, surfaces: Surfaces, large: int, valid: NDArray[np.uint8],
+    misfits: NDArray[np.bool_] | None = None,
+) -> None:  # fmt: skip
+    """Reject small surfaces with such a border; ``valid`` (H, W) is changed.
 
-    There wrong orders fit as well as right ones, and a wall's remains lie among its rejected parts; arguments as of
-    :func:`reject_unconfirmed`.
+    Args:
+        continued: of the surfaces, beside the points of ``valid``; large: pixels from which a surface is not tested.
+        misfits: (n,) those that fit worse. None: all, however well they fit, for pairs of which a good part is
+            ambiguous. There wrong orders fit as well as right ones, and a wall's remains lie among its rejected parts.
     """
     f = surfaces
     rejected = (f.sizes < large) & (continued.jumps + continued.unknown >= LEAST_OPEN)
+    if misfits is not None:
+        rejected &= misfits
     if rejected.any():
         reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
 
@@ -41,19 +48,16 @@ def reject_unconfirmed(
     figures: Figures, continued: Continued, matched_loss: float, surfaces: Surfaces, large: int,
     valid: NDArray[np.uint8],
 ) -> None:  # fmt: skip
-    """Reject such surfaces; ``valid`` (H, W) is changed.
+    """Reject those that fit worse than the large surfaces; arguments else as of :func:`reject_open`.
 
     Args:
-        figures, continued: of the surfaces, the latter beside the points of ``valid``.
-        matched_loss: of :class:`pipeline.filter.texture_agreement.Scale`.
+        figures: of the surfaces. matched_loss: of :class:`pipeline.filter.texture_agreement.Scale`.
         large: pixels from which a surface is one of those that are compared with; without any, all are.
     """
-    f = surfaces
-    small = f.sizes < large
-    if not len(f.sizes):
+    sizes = surfaces.sizes
+    if not len(sizes):
         return
-    usual = float(np.average(figures.rms, weights=np.where(small & ~small.all(), 0, f.sizes)))
-    unconfirmed = small & (continued.jumps + continued.unknown >= LEAST_OPEN)
-    rejected = unconfirmed & (figures.rms >= TIMES_USUAL * usual) & (figures.mean_loss >= LEAST_LOSS * matched_loss)
-    if rejected.any():
-        reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
+    small = sizes < large
+    usual = float(np.average(figures.rms, weights=np.where(small & ~small.all(), 0, sizes)))
+    misfits = (figures.rms >= TIMES_USUAL * usual) & (figures.mean_loss >= LEAST_LOSS * matched_loss)
+    reject_open(continued, surfaces, large, valid, misfits)
