@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.common.parallel_for import blocks
-from pipeline.filter.border.border_figures import Planes
-from pipeline.filter.border.border_model import MODEL, BorderModel
+from pipeline.filter.border.border_figures import Planes, border_figures
+from pipeline.filter.border.border_model import FIGURES, MODEL, BorderModel
 from pipeline.filter.border.border_pixels import ROWS, border_of_row, changes_of_row
 from pipeline.filter.border.border_test import border_test, largest_odds
 from pipeline.filter.texture_agreement import LOSS
@@ -89,6 +89,23 @@ def test_the_deviation_from_the_plane_widens_sigma() -> None:
     both = valid[some] != 0
     assert both.any()
     assert (sigma[some][both] > 1.5 * _outcome(clean)[2][some][both]).mean() > 0.8
+
+
+def test_the_figures_that_the_model_is_fitted_to_are_those_that_decide() -> None:
+    p = planes()
+    p.xyz[::3, EDGE - 1, 2] += 0.3 * ORDER_MM
+    p.misfit[:] = 9
+    found = np.empty((*SHAPE, FIGURES), np.float32)
+    border_figures(blocks(SHAPE[0], ROWS), p, LOSS.astype(np.float32), 1, PER_ORDER, found)
+    tested = np.isfinite(found).all(-1)
+    assert (tested == np.isfinite(found).any(-1)).all() and (tested == (_outcome(p, 1.0)[1] == 0)).all()
+    x = (found[tested].astype(np.float64) - MODEL.mean) * MODEL.scale
+    row, column = np.tril_indices(FIGURES)
+    odds = MODEL.wrong[0] + x @ MODEL.wrong[1 : 1 + FIGURES] + (x[:, row] * x[:, column]) @ MODEL.wrong[1 + FIGURES :]
+    limit = float(np.median(odds))
+    valid = _outcome(p, 1 / (1 + np.exp(-limit)))[0][tested] != 0
+    clear = np.abs(odds - limit) > 1e-3
+    assert clear.mean() > 0.9 and (valid == (odds < limit))[clear].all()
 
 
 @pytest.mark.parametrize(("variance", "factor"), [(0.25, 1.0), (1.0, 1.0), (4.0, 2.0), (25.0, 5.0)])
