@@ -28,6 +28,7 @@ from pipeline.filter.surfaces.continued_orders import continued_orders
 from pipeline.filter.surfaces.small_surfaces import reject_contradicted, reject_eroded
 from pipeline.filter.surfaces.surface_evidence import DISTINCT, Figures
 from pipeline.filter.surfaces.unconfirmed_surfaces import reject_open, reject_unconfirmed
+from pipeline.filter.surfaces.unexplained_regions import UnexplainedRegions
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
 from pipeline.fringe_order.margins.order_margins import MOST_REJECTED, Continued
 from pipeline.geometry.ray_tables import DepthScale
@@ -86,6 +87,7 @@ class Gates:
         self._large = max(20 * self._smallest, int(LARGE_SHARE * self._valid.size))
         self._label = np.empty(shape, np.uint16)
         self._surfaces, self._divided = Surfaces(shape), DividedSurfaces(shape)
+        self._regions = UnexplainedRegions(shape)
         self._unique = Uniqueness(shape, (right, projector))
 
     def certain(
@@ -143,6 +145,9 @@ class Gates:
             continued = continued_orders(match, left, label, surfaces, self._large, match.valid)
             reject_ambiguous(label, surfaces.sizes, continued, valid)
         continued = continued_orders(match, left, label, surfaces, self._large, valid)
+        self._regions.reject_remains(
+            left.valid, valid, label, surfaces, figures, continued, scale.matched_loss, self._large
+        )
         reject_unconfirmed(figures, continued, scale.matched_loss, surfaces, self._large, valid)
         planes = Planes(
             label, agreement.deviation, agreement.misfit, match.right_u, match.residual_normalised, match.residual,
