@@ -87,6 +87,10 @@ def test_it_runs_as_a_user_with_no_rights(running: Fringed) -> None:
     assert set(fields["Uid"].split()) == {running.machine.run("id", "-u", "fringed").stdout.strip()} != {"0"}
 
 
+def test_its_share_of_the_processors_is_ten_times_that_of_another_service(running: Fringed) -> None:
+    assert running.machine.show(SERVICE, "CPUWeight") == {"CPUWeight": "1000"}
+
+
 def test_sockets_are_accessible_to_its_group_only(running: Fringed) -> None:
     there = running.machine.run("stat", "-c", "%A %U %G %n", "/run/fringed", "/run/fringed/control").stdout.split("\n")
     assert there[0] == "drwxr-x--- fringed fringed /run/fringed"
