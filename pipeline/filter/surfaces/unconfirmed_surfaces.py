@@ -37,7 +37,7 @@ def reject_open(
             ambiguous. There wrong orders fit as well as right ones, and a wall's remains lie among its rejected parts.
     """
     f = surfaces
-    rejected = (f.sizes < large) & (continued.jumps + continued.unknown >= LEAST_OPEN)
+    rejected = (f.sizes < large) & (continued.open >= LEAST_OPEN)
     if misfits is not None:
         rejected &= misfits
     if rejected.any():

@@ -17,13 +17,14 @@ from pipeline.common.parallel_for import parallel
 from pipeline.filter.surfaces.component_test import reject_surfaces
 from pipeline.filter.surfaces.small_surfaces import boxes_of
 from pipeline.filter.surfaces.surface_evidence import Figures
+from pipeline.filter.surfaces.unconfirmed_surfaces import LEAST_LOSS
 from pipeline.fringe_order.margins.order_margins import Continued
 
 REGION_SHARE, TIMES_SURFACE = 0.1, 50
 """Share of the image that a region has at least, and how many times as large as a surface that is rejected it is."""
-LEAST_OPEN, LEAST_LOSS = 0.4, 0.65
+LEAST_OPEN = 0.4
 """Share of the places along the border where phase and brightness go on to pixels without a point, or with another
-order; mean loss of the textures' deviations, in units of that of matched pixels."""
+order."""
 _BEYOND = 2
 """Pixels from a surface's outermost ones to those that are looked up: there may be a rejected seam between."""
 
@@ -47,7 +48,7 @@ class UnexplainedRegions:
             large: pixels from which a surface is not tested.
         """
         f = surfaces
-        doubtful = (f.sizes < large) & (continued.jumps + continued.unknown >= LEAST_OPEN)
+        doubtful = (f.sizes < large) & (continued.open >= LEAST_OPEN)
         doubtful &= figures.mean_loss >= LEAST_LOSS * matched_loss
         number = self._find(usable, valid) if doubtful.any() else 0
         region_sizes = np.concatenate([np.zeros(1, np.int32), self._regions.sizes[:number]])

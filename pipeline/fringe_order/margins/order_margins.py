@@ -75,9 +75,14 @@ class Continued(NamedTuple):
         return Continued(np.zeros(surfaces, np.int32), *(np.zeros(surfaces, np.float32) for _ in range(3)))
 
     @property
+    def open(self) -> NDArray[np.float32]:
+        """Share of the places where phase and brightness continue, but with another order or none, (n,)."""
+        return self.jumps + self.unknown
+
+    @property
     def unconfirmed(self) -> NDArray[np.bool_]:
         """Whether most of what a surface continues to has another order or none, (n,)."""
-        return (self.unknown >= LEAST_UNKNOWN) & (self.unknown + self.jumps >= LEAST_OPEN)
+        return (self.unknown >= LEAST_UNKNOWN) & (self.open >= LEAST_OPEN)
 
 
 class Limits(NamedTuple):

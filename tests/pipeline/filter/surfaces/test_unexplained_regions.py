@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pipeline.common.connected_components import LEFT, UP, Surfaces
 from pipeline.filter.surfaces.surface_evidence import Figures
+from pipeline.filter.surfaces.unconfirmed_surfaces import LEAST_LOSS
 from pipeline.filter.surfaces.unexplained_regions import (
-    LEAST_LOSS,
     LEAST_OPEN,
     REGION_SHARE,
     TIMES_SURFACE,
