@@ -1,10 +1,10 @@
 """The calibration check on disturbed and on intact rigs: ``python -m benchmarks.calibration.disturbed --clean 500``.
 
 The images come from rigs whose devices stand otherwise than the calibration has them: turned, exchanged, with another
-focal length. Each row compares what a daemon without the check would publish with what it publishes. Intact rigs with
-the hard scenes, Bayer mosaics and an uncalibrated projector response show how often the check is wrong; ``--rigs``
-turns the devices of rigs of random design instead. The exit code is 1 if wrong points are published or an intact rig is
-withheld.
+focal length. Each row compares what a daemon without the check would publish with what it publishes, of a first pair
+and of three pairs after one of the intact rig, as if the device had moved in the meantime. Intact rigs with the hard
+scenes, Bayer mosaics and an uncalibrated projector response show how often the check is wrong; ``--rigs`` turns the
+devices of rigs of random design instead. The exit code is 1 if wrong points are published or an intact rig is withheld.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ AXES = ("pitch", "yaw", "roll")
 LARGEST_WRONG = 0.001
 """Share of points that err by over 6 mm in a published cloud, beyond that of the intact rig."""
 _WRONG_OF_DESIGNS = 0.01
-_NOISES = 7
+_NOISES, _PAIRS_RUNNING = 7, 3
 _TURNS: tuple[tuple[Device, int, float], ...] = (
     ("right", 0, 0.1), ("right", 1, 0.1), ("right", 1, 0.3), ("right", 2, 0.3), ("projector", 0, 1.0),
     ("projector", 1, 0.3),
@@ -51,7 +51,7 @@ Pair = tuple[NDArray[Any], NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a first pair gives: errors and number of its points, and the verdict on it."""
+    """What a pair gives: errors and number of its points, and the verdict on it."""
 
     errors: PointErrors
     points: int
@@ -64,15 +64,34 @@ class Answer:
 
 
 def answer(case: Case, images: Pair, calibration: Calibration | None = None) -> Answer:
-    """Reconstruct a pair by a fresh reconstructor; errors against the truth of the rig as calibrated."""
+    """Reconstruct a first pair; errors against the truth of the rig as calibrated."""
+    return _answers(case, _reconstructor(case, calibration), images, 1)[0]
+
+
+def running(case: Case, intact: Pair, images: Pair) -> Answer:
+    """Reconstruct pairs after one of the intact rig; the first of them that is published, or the first."""
+    made = _reconstructor(case)
+    made.reconstruct(*intact)
+    found = _answers(case, made, images, _PAIRS_RUNNING)
+    return next((one for one in found if one.published), found[0])
+
+
+def _reconstructor(case: Case, calibration: Calibration | None = None) -> CheckedReconstructor:
     calibration = calibration or case.layout.calibration_for(case.optics)
-    volume = case.layout.volume()
-    inner = Reconstructor(calibration, case.pattern, volume, encoding=case.encoding)
-    cloud = CheckedReconstructor(inner, "warn").reconstruct(*images)
-    assert cloud.consistency is not None
+    inner = Reconstructor(calibration, case.pattern, case.layout.volume(), encoding=case.encoding)
+    return CheckedReconstructor(inner, "warn")
+
+
+def _answers(case: Case, made: CheckedReconstructor, images: Pair, count: int) -> list[Answer]:
     truth, _ = truths(case.layout, build(case.scene))
-    errors = point_errors(cloud.xyz, cloud.sigma_mm, truth, (volume.near_mm, volume.far_mm))
-    return Answer(errors, cloud.points, cloud.consistency)
+    volume = case.layout.volume()
+    out = []
+    for _ in range(count):
+        cloud = made.reconstruct(*images)
+        assert cloud.consistency is not None
+        errors = point_errors(cloud.xyz, cloud.sigma_mm, truth, (volume.near_mm, volume.far_mm))
+        out.append(Answer(errors, cloud.points, cloud.consistency))
+    return out
 
 
 def images_of(case: Case, *changes: Disturbance, seed: int = 0) -> Pair:
@@ -92,41 +111,47 @@ def turned(device: Device, axis: int, degrees: float) -> Disturbance:
     return Disturbance(device, turn_deg=(x, y, z))
 
 
-def answers(case: Case) -> Iterator[tuple[str, Answer]]:
-    """Every disturbance by name, with what it gives."""
+def answers(case: Case) -> Iterator[tuple[str, Answer, Answer | None]]:
+    """Every disturbance by name, with what it gives as a first pair and, where that can happen, while the rig runs."""
     intact = images_of(case)
-    yield INTACT, answer(case, intact)
+    yield INTACT, answer(case, intact), running(case, intact, intact)
     devices: tuple[tuple[Device, str], ...] = (("right", "right camera"), ("projector", "projector"))
     for device, name in devices:
         for k, axis in enumerate(AXES):
             for angle in ANGLES_DEG:
                 images = images_of(case, turned(device, k, angle))
-                yield f"{name}, {axis} {angle:g} deg", answer(case, images)
-    yield "cameras exchanged", answer(case, intact[::-1])
+                yield f"{name}, {axis} {angle:g} deg", answer(case, images), running(case, intact, images)
+    for name, images in (("cameras exchanged", intact[::-1]), ("left image as both", (intact[0], intact[0]))):
+        yield name, answer(case, images), running(case, intact, images)
     calibration = case.layout.calibration_for(case.optics)
     for device, name in (*devices, ("left", "left camera")):
         matrix = getattr(calibration, device).matrix.copy()
         matrix[[0, 1], [0, 1]] *= 1.005
         changed = replace(calibration, **{device: replace(getattr(calibration, device), matrix=matrix)})
-        yield f"{name}, focal length 0.5 % too large", answer(case, intact, changed)
+        yield f"{name}, focal length 0.5 % too large", answer(case, intact, changed), None
 
 
 def disturbed(case: Case) -> tuple[Table, list[str]]:
     """The table of all disturbances, and those with which wrong points are published."""
     table = Table(
         "disturbed", f"Disturbed after the calibration, {case.scene}",
-        ["disturbance", "points unchecked", "wrong %", "rms um", "verdict", "published", "cause"],
+        ["disturbance", "points unchecked", "wrong %", "rms um", "verdict", "published", "running: wrong %", "verdict",
+         "published", "cause"],
         text_columns=("verdict", "cause"),
     )  # fmt: skip
     wrong, intact = [], 0.0
-    for name, found in answers(case):
+    for name, first, later in answers(case):
+        after = (f"{100 * later.errors.wrong:.2f}", later.found.verdict, f"{later.published:,}") if later else ("",) * 3
         table.add(
-            name, f"{found.points:,}", f"{100 * found.errors.wrong:.2f}", f"{1e3 * found.errors.rms_mm:.0f}",
-            found.found.verdict, f"{found.published:,}", found.found.cause or "; ".join(found.found.findings[:1]),
+            name, f"{first.points:,}", f"{100 * first.errors.wrong:.2f}", f"{1e3 * first.errors.rms_mm:.0f}",
+            first.found.verdict, f"{first.published:,}", *after,
+            first.found.cause or "; ".join(first.found.findings[:1]),
         )  # fmt: skip
-        intact = found.errors.wrong if name == INTACT else intact
-        if found.published and not found.errors.wrong <= intact + LARGEST_WRONG:
-            wrong.append(f"{name}: {100 * found.errors.wrong:.2f} % of {found.published:,} published points are wrong")
+        intact = first.errors.wrong if name == INTACT else intact
+        for found, when in ((first, ""), (later, "while it runs, ")):
+            if found and found.published and not found.errors.wrong <= intact + LARGEST_WRONG:
+                share = f"{100 * found.errors.wrong:.2f} % of {found.published:,}"
+                wrong.append(f"{when}{name}: {share} published points are wrong")
     return table, wrong
 
 
@@ -134,21 +159,25 @@ def designs(cases: Sequence[Case]) -> tuple[Table, list[str]]:
     """The table of turned devices of rigs of other designs, and the rigs that publish wrong points because of it."""
     table = Table(
         "designs", f"{len(cases)} rigs of random design, disturbed after the calibration",
-        ["disturbance", "rigs with wrong points", "published", "withheld"],
+        ["disturbance", "rigs with wrong points", "published", "withheld", "running: wrong points", "published",
+         "withheld"],
     )  # fmt: skip
-    intact = [answer(case, images_of(case)) for case in cases]
-    false_alarms = sum(found.found.verdict == "inconsistent" for found in intact)
-    table.add(INTACT, "", str(len(cases) - false_alarms), str(false_alarms))
+    intact = [images_of(case) for case in cases]
+    before = [answer(case, images) for case, images in zip(cases, intact, strict=True)]
+    false_alarms = sum(found.found.verdict == "inconsistent" for found in before)
+    table.add(INTACT, "", str(len(cases) - false_alarms), str(false_alarms), "", "", "")
     wrong = []
     for device, axis, angle in _TURNS:
-        name, counts = f"{device}, {AXES[axis]} {angle:g} deg", [0, 0]
-        for case, before in zip(cases, intact, strict=True):
-            found = answer(case, images_of(case, turned(device, axis, angle)))
-            if found.points and found.errors.wrong > before.errors.wrong + _WRONG_OF_DESIGNS:
-                counts[found.published == 0] += 1
-                if found.published:
-                    wrong.append(f"{case.name}, {name}: {100 * found.errors.wrong:.1f} % of {found.published:,} wrong")
-        table.add(name, str(sum(counts)), *map(str, counts))
+        name, counts = f"{device}, {AXES[axis]} {angle:g} deg", [0, 0, 0, 0]
+        for case, untouched, usual in zip(cases, intact, before, strict=True):
+            images = images_of(case, turned(device, axis, angle))
+            for when, found in enumerate((answer(case, images), running(case, untouched, images))):
+                if found.points and found.errors.wrong > usual.errors.wrong + _WRONG_OF_DESIGNS:
+                    counts[2 * when + (found.published == 0)] += 1
+                    if found.published:
+                        share = f"{100 * found.errors.wrong:.1f} % of {found.published:,} wrong"
+                        wrong.append(f"{case.name}, {name}{', while it runs' * when}: {share}")
+        table.add(name, str(sum(counts[:2])), *map(str, counts[:2]), str(sum(counts[2:])), *map(str, counts[2:]))
     table.notes.append(
         f"Wrong: {100 * _WRONG_OF_DESIGNS:g} % of the points more than with the intact rig err by over 6 mm."
     )

@@ -41,6 +41,7 @@ LIMITS: dict[str, tuple[tuple[float, float], str]] = {
     "order_cost_beside_agreement": ((0.50, np.inf), "of the cost of unrelated phases"),
     "scanned_drift": ((0.012, 0.030), "degrees of the projector"),
     "scanned_offset": ((np.inf, 0.0), "degrees of the projector"),
+    "scanned_change": ((np.inf, 0.0), "degrees of the projector"),
     "scanned_epipolar": ((np.inf, 0.0), "degrees of the right camera"),
 }
 """Limit of ``doubtful``, limit of ``inconsistent``, unit."""
@@ -52,6 +53,8 @@ _CLEARLY_LESS = 0.85
 _AGREEMENT_GAIN = 0.005
 """Gain of :class:`pipeline.reconstruct.consistency.ColumnScan` from which some pixels agree up to noise. Where patches
 agree as well, a high cost of all pixels is that of surfaces out of reach or of an unknown response, no refutation."""
+_LEAST_CHANGE_PX = 0.3
+"""Columns from the correction in use to the offset that costs clearly less, in steps of a quarter of a column."""
 _LEAST_SHARE = 0.05
 
 
@@ -157,6 +160,10 @@ class ConsistencyCheck:
         out = {name: Reading(scan.relative_cost, 0.0)}
         if scan.offset_px != scan.allowed_px and scan.cost < _CLEARLY_LESS * scan.allowed_cost:
             out["scanned_offset"] = Reading(scan.offset_px * self._projector_deg, 0.0)
+        change = scan.allowed_px - scan.used_px
+        moved = abs(change) > _LEAST_CHANGE_PX and scan.allowed_cost < _CLEARLY_LESS * scan.used_cost
+        if moved and scan.gain < _AGREEMENT_GAIN:
+            out["scanned_change"] = Reading(change * self._projector_deg, 0.0)
         if scan.across_px:
             out["scanned_epipolar"] = Reading(scan.across_px * self._camera_deg, 0.0)
         return out
@@ -174,9 +181,10 @@ class ConsistencyCheck:
     def _cause(self, readings: dict[str, Reading]) -> str:
         """Device, axis and angle that explain the largest reading; two devices where they cannot be separated."""
         beyond = {name: abs(reading.value) for name, reading in readings.items() if _excess(name, reading) > 0}
-        if beyond.keys() & {"scanned_offset", "column_offset", "scanned_drift", "depth_offset"}:
+        scanned = [name for name in ("scanned_offset", "scanned_change") if name in beyond]
+        if scanned or beyond.keys() & {"column_offset", "scanned_drift", "depth_offset"}:
             measured = "column_offset" if "column_offset" in readings else "scanned_drift"
-            offset = abs(readings["scanned_offset" if "scanned_offset" in beyond else measured].value)
+            offset = abs(readings[(*scanned, measured)[0]].value)
             return (
                 f"the right camera is turned about its vertical axis by {offset / self._baseline_share():.2f} degrees, "
                 f"or the projector by {offset:.2f} degrees: one pair does not separate them"

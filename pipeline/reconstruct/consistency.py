@@ -14,7 +14,8 @@ from pipeline.reconstruct.column_correction import OffsetLikelihood
 F64 = NDArray[np.float64]
 Verdict = Literal["consistent", "doubtful", "inconsistent", "unknown"]
 
-_LEAST_PIXELS = 200
+LEAST_PIXELS = 200
+"""Pixels with two candidates from which costs are averaged."""
 CLEARLY_LESS = 0.9
 """Mean cost at a displacement of the right image, relative to that without, below which it counts: intact rigs of all
 scenes have the least cost at 0, a pitch of 0.02 degrees gives 0.88, one of 0.05 degrees 0.7."""
@@ -72,6 +73,10 @@ class ColumnScan:
             offsets, each less :data:`NOISE_COST`: 0 = every pixel agrees, 1 = no better than unrelated phases.
         across_px: displacement of the right image across the epipolar lines with clearly the least cost, else 0.
         gain: of :class:`pipeline.reconstruct.column_correction.OffsetLikelihood` at the correction in use.
+        used_px: the correction in use, in the middle of the projector.
+        used_cost: mean least cost there.
+        used_relative: as ``relative_cost``, there.
+        unrelated: lower quartile of the pixels' costs at most offsets.
     """
 
     offset_px: float
@@ -81,6 +86,10 @@ class ColumnScan:
     relative_cost: float
     across_px: float = 0.0
     gain: float = 0.0
+    used_px: float = 0.0
+    used_cost: float = 0.0
+    used_relative: float = 0.0
+    unrelated: float = 0.0
 
     @classmethod
     def of(
@@ -90,25 +99,33 @@ class ColumnScan:
         largest: float,
         across: Mapping[int, float],
         corrected: NDArray[np.float32],
+        used_px: float,
     ) -> ColumnScan | None:
         """The scan of (n,) offsets with the costs of the pixels at each; None where no pixel has two candidates.
 
         Args:
             largest: offset that a drift of the projector explains.
             across: mean least cost by displacement across the epipolar lines, pixels; 0 among them.
-            corrected: costs of the pixels at the correction in use.
+            corrected: costs of the pixels at the correction in use, which is ``used_px`` in the middle.
         """
-        if min(map(len, costs)) < _LEAST_PIXELS:
+        if min(map(len, costs)) < LEAST_PIXELS:
             return None
         means = np.array([cost.mean(dtype=np.float64) for cost in costs])
         quartiles = np.array([np.quantile(cost, 0.25) for cost in costs])
         best = int(means.argmin())
         allowed = int(np.where(np.abs(offsets) <= largest, means, np.inf).argmin())
-        above = np.maximum([quartiles[allowed], np.median(quartiles)], NOISE_COST) - NOISE_COST
-        relative = above[0] / max(above[1], 1e-6)
+        unrelated = float(np.median(quartiles))
         displaced = min(across, key=across.__getitem__)
         return cls(
-            float(offsets[best]), float(means[best]), float(offsets[allowed]), float(means[allowed]), float(relative),
+            float(offsets[best]), float(means[best]), float(offsets[allowed]), float(means[allowed]),
+            relative_cost(quartiles[allowed], unrelated),
             float(displaced) if across[displaced] < CLEARLY_LESS * across[0] else 0.0,
             float(OffsetLikelihood.of(np.append(offsets, 0.0), [*costs, corrected]).gain[-1]),
+            used_px, float(corrected.mean(dtype=np.float64)),
+            relative_cost(float(np.quantile(corrected, 0.25)), unrelated), unrelated,
         )  # fmt: skip
+
+
+def relative_cost(quartile: float, unrelated: float) -> float:
+    """Lower quartile of costs over that of unrelated phases, each less :data:`NOISE_COST`."""
+    return float(max(quartile - NOISE_COST, 0.0) / max(unrelated - NOISE_COST, 1e-6))

@@ -19,15 +19,15 @@ from pipeline.match.match_result import MatchResult
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import camera_response, column_correction
 from pipeline.reconstruct.column_correction import Correction
-from pipeline.reconstruct.consistency import ColumnScan
+from pipeline.reconstruct.consistency import LEAST_PIXELS, ColumnScan, relative_cost
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
 
 F64 = NDArray[np.float64]
 
 _RESPONSE_ROUNDS, _LEAST_POINTS = 3, 1000
-_STRIDE, _SCAN_STRIDE = 8, 16
-"""Distance of the lattice rows whose costs are averaged, of the search and of the scan."""
+_STRIDE, _SCAN_STRIDE, _CURRENT_STRIDE = 8, 16, 32
+"""Distance of the lattice rows whose costs are averaged, of the search, of the scan and of every later pair."""
 _HALF_STEP = 0.125
 """Columns from an offset of the search to one between it and the next: costs fall to those of noise within 0.1 only."""
 _DISPLACEMENTS_PX = (1, 2, 3, 5, 7, 10, 14, 20)
@@ -110,7 +110,15 @@ def scan_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> ColumnSc
     }
     corrected = search.least_costs(left, right, made.correction, stride=_STRIDE)
     made.clear_prior()
-    return ColumnScan.of(offsets, costs, largest, across, corrected)
+    middle = (np.array(made.pattern.size) - 1.0) / 2
+    along, beside = middle[made.left.first_axis], middle[1 - made.left.first_axis]
+    return ColumnScan.of(offsets, costs, largest, across, corrected, float(made.correction @ (1.0, along, beside)))
+
+
+def current_cost(made: Calibrating, left: PhaseMap, right: PhaseMap, scan: ColumnScan) -> float | None:
+    """Cost of a pair at the correction in use over that of unrelated phases of the scanned pair; None: no fringes."""
+    costs = made.searches[0].least_costs(left, right, made.correction, stride=_CURRENT_STRIDE)
+    return relative_cost(float(np.quantile(costs, 0.25)), scan.unrelated) if len(costs) >= LEAST_PIXELS else None
 
 
 def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> MatchResult:

@@ -218,6 +218,10 @@ class Reconstructor:
         """Cost of the order search over column offsets of half a period to both sides, of the last pair's phases."""
         return first_pair.scan_columns(self, *self._maps)
 
+    def current_cost(self) -> float | None:
+        """Cost of the last pair's orders, see :func:`.consistency.relative_cost`; None without a scan or fringes."""
+        return None if self.scan is None else first_pair.current_cost(self, *self._maps, self.scan)
+
     def match(self, left: PhaseMap, right: PhaseMap) -> MatchResult:
         """The match of every left pixel by the search of an uncalibrated pair; valid until the next call."""
         orders = self._orders(left, right, Stopwatch(None), use_prior=False, texture=UNCALIBRATED)

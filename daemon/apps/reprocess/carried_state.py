@@ -53,10 +53,13 @@ class CarriedState:
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> CarriedState:
         """The state of a manifest; KeyError, ValueError or TypeError where part of it is missing or no number."""
+        scan = None if values["scan"] is None else _numbers(values["scan"])
+        if scan is not None and len(scan) != len(dataclasses.fields(ColumnScan)):
+            raise ValueError(f"scan has {len(scan)} numbers, expected {len(dataclasses.fields(ColumnScan))}")
         return cls(
             str(values["encoding"]),
             tuple((tuple(map(float, numbers)), bool(measured)) for numbers, measured in values["corrections"]),
-            None if values["scan"] is None else tuple(map(float, values["scan"])),
+            scan,
             _numbers(values["shifts"]),
             float(values["gain"]),
         )

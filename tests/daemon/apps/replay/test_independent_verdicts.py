@@ -63,9 +63,23 @@ def test_a_pair_that_is_not_consistent_is_scanned_itself(pairs: list[Any], monke
     cloud = bad.reconstruct(*pairs[0])
     assert cloud.consistency is not None and cloud.consistency.verdict == "inconsistent"
     assert len(scanned) == 2  # the first pair's, with the column correction; then the verdict's own
-    kept = bad.inner.scan
+    assert not bad.inner.calibrated and bad.inner.scan is None  # the next one is measured like a first pair
     bad.reconstruct(*pairs[1])
-    assert len(scanned) == 3 and bad.inner.scan is kept is not None
+    assert len(scanned) == 4
+
+
+def test_the_scan_of_a_first_pair_that_is_not_refuted_is_kept(
+    pairs: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()
+    good = made()
+    good.reconstruct(*pairs[0])
+    kept = good.inner.scan
+    monkeypatch.setattr(good.inner, "current_cost", lambda: 1.0)
+    monkeypatch.setattr(good.inner, "scan_columns", lambda: None)
+    cloud = good.reconstruct(*pairs[1])
+    assert cloud.consistency is not None and "order_cost" not in cloud.consistency.readings  # its own scan counts
+    assert good.inner.scan is kept is not None
 
 
 def test_policies(pairs: list[Any]) -> None:

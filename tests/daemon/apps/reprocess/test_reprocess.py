@@ -64,7 +64,9 @@ def test_verdicts_of_large_images_depend_on_the_first_pair_only(
     assert verdicts_in(tmp_path / "out" / "a") == verdicts
     assert files_of(tmp_path / "out" / "a") == files
     manifests = (tmp_path / "out" / "a" / "chunks").glob("*.json")
-    assert all(json.loads(path.read_text())["after"]["scan"] for path in manifests)
+    scans = [json.loads(path.read_text())["after"]["scan"] for path in manifests]
+    # A refuted first pair is not kept: the next one is measured like it.
+    assert scans and all((scan is not None) == (verdict == "consistent") for scan in scans)
 
 
 @pytest.mark.parametrize("chunk_pairs", [1, 100])
@@ -194,12 +196,15 @@ def test_a_state_survives_json_and_restores_a_reconstructor() -> None:
     first = capture(made)
     assert not first.settled
     values = 0.1 + 0.2, -1e-17, 1 / 3, 1.1, 0.9, 1.0, 2 / 3
-    state = CarriedState("rgb8", ((values, True),), (0.25, 0.1, 0.25, 0.1, 0.3, -3.0, 0.1), (0.25, 1 / 3), 0.7)
+    scan = (0.25, 0.1, 0.25, 0.1, 0.3, -3.0, 0.1, 0.2, 0.11, 0.32, 1 / 7)
+    state = CarriedState("rgb8", ((values, True),), scan, (0.25, 1 / 3), 0.7)
     assert state.settled
     assert CarriedState.from_json(json.loads(json.dumps(state.as_json()))) == state
     for name in state.as_json():  # a manifest of an earlier program is not continued
         with pytest.raises(KeyError, match=name):
             CarriedState.from_json({key: value for key, value in state.as_json().items() if key != name})
+    with pytest.raises(ValueError, match="scan has 7 numbers, expected 11"):
+        CarriedState.from_json(state.as_json() | {"scan": list(scan[:7])})
     restore(made, state)
     assert capture(made) == state
     restore(made, first)

@@ -1,0 +1,175 @@
+"""While it runs: a device that moves is refuted at once, a refutation lasts, and what can be measured anew is."""
+
+from __future__ import annotations
+
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.calibration.disturbed import images_of, turned
+from benchmarks.reconstruction.cases import Case, scaled
+from pipeline.monitor import checked_reconstructor
+from pipeline.monitor.checked_reconstructor import CHANGED, CheckedReconstructor
+from pipeline.reconstruct.consistency import ColumnScan, Consistency
+from pipeline.reconstruct.reconstructor import Reconstructor
+from sim.evaluate.point_errors import point_errors
+from sim.render.render_pair import truths
+from sim.scene.named_scenes import build
+
+CASE = scaled(Case("running", "mixed"), 0.5)
+PAIRS = 8
+
+
+@functools.cache
+def images(device: str = "", axis: int = 0, degrees: float = 0.0):
+    changes = [turned(device, axis, degrees)] if device else []
+    pair = images_of(CASE, *changes)
+    for image in pair:
+        image.setflags(write=False)
+    return pair
+
+
+def running(policy: str = "withhold") -> CheckedReconstructor:
+    """A reconstructor that has seen a good pair."""
+    made = fresh(policy)
+    assert made.reconstruct(*images()).consistency.verdict == "consistent"
+    return made
+
+
+def fresh(policy: str = "withhold") -> CheckedReconstructor:
+    inner = Reconstructor(CASE.layout.calibration_for(CASE.optics), CASE.pattern, CASE.layout.volume())
+    return CheckedReconstructor(inner, policy)
+
+
+@pytest.mark.parametrize(
+    ("device", "axis", "degrees"),
+    [("right", 0, 1.0), ("right", 1, 0.1), ("projector", 1, 0.05)],
+)
+def test_a_device_that_turns_while_it_runs_is_refuted_with_the_next_pair(device: str, axis: int, degrees: float):
+    made = running()
+    for _ in range(PAIRS + 4):
+        cloud = made.reconstruct(*images(device, axis, degrees))
+        assert cloud.consistency.verdict == "inconsistent"
+        assert cloud.points == 0
+        assert cloud.consistency.findings and cloud.consistency.cause
+
+
+@pytest.mark.parametrize("wrong", [(0, 0), (1, 1), (1, 0)])
+def test_an_image_of_the_other_camera_is_refuted_with_the_next_pair_and_so_is_its_end(wrong: tuple[int, int]):
+    made, good = running(), images()
+    before = made.reconstruct(*good).xyz
+    for _ in range(3):
+        assert made.reconstruct(good[wrong[0]], good[wrong[1]]).points == 0
+    verdicts = [made.reconstruct(*good).consistency.verdict for _ in range(PAIRS + 1)]
+    assert verdicts[0] == "inconsistent" and verdicts[-1] == "consistent"
+    np.testing.assert_array_equal(made.reconstruct(*good).xyz, before)
+
+
+def test_columns_that_have_moved_as_far_as_a_projector_drifts_are_measured_anew():
+    """A right camera turned by 0.05 degrees: with the columns of the first pair all points are wrong."""
+    made, moved = running("warn"), images("right", 1, 0.05)
+    truth, _ = truths(CASE.layout, build(CASE.scene))
+    volume = CASE.layout.volume()
+    wrong, verdicts = [], []
+    for _ in range(2 * PAIRS):
+        cloud = made.reconstruct(*moved)
+        wrong.append(point_errors(cloud.xyz, cloud.sigma_mm, truth, (volume.near_mm, volume.far_mm)).wrong)
+        verdicts.append(cloud.consistency.verdict)
+    assert verdicts[0] == "inconsistent" and wrong[0] > 0.9
+    assert verdicts[-1] == "doubtful" and wrong[-1] < 0.002
+    assert max(share for share, verdict in zip(wrong, verdicts, strict=True) if verdict != "inconsistent") < 0.002
+
+
+def test_a_first_pair_that_shows_nothing_useful_is_replaced():
+    made, good = fresh(), images()
+    assert made.reconstruct(good[0], good[0]).points == 0
+    last = [made.reconstruct(*good) for _ in range(2 * PAIRS + 1)][-1]
+    assert last.consistency.verdict == "consistent"
+    np.testing.assert_array_equal(last.xyz, running().reconstruct(*good).xyz)
+
+
+def test_the_check_does_not_change_clouds_that_expect_the_orders_of_the_pair_before():
+    checked, plain = running(), fresh("off")
+    plain.reconstruct(*images())
+    for _ in range(3):
+        clouds = [made.reconstruct(*images(), use_prior=True) for made in (checked, plain)]
+        np.testing.assert_array_equal(clouds[0].xyz, clouds[1].xyz)
+
+
+class Answers:
+    """A reconstructor's inside whose costs and verdicts are given."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.cost, self.verdict, self.scans = 0.0, "consistent", 0
+        self.scan = self._new()
+        monkeypatch.setattr(CheckedReconstructor, "new_check", lambda _: SimpleNamespace(check=self._check))
+
+    def _check(self, *_) -> Consistency:
+        return Consistency(self.verdict, findings=("found",) if self.verdict == "inconsistent" else ())
+
+    def _new(self) -> ColumnScan:
+        return ColumnScan(0.0, 0.0, 0.0, 0.0, 0.0, used_relative=self.cost, unrelated=1.0)
+
+    def state(self) -> None:
+        """None is needed here."""
+
+    def current_cost(self) -> float:
+        return self.cost
+
+    def scan_columns(self) -> ColumnScan:
+        self.scans += 1
+        return self._new()
+
+
+def judged(made: CheckedReconstructor) -> Consistency:
+    image = np.zeros((2, 2), np.uint8)
+    return made._verdict(image, image, None)
+
+
+def test_a_pair_is_scanned_where_its_cost_is_another_and_not_otherwise(monkeypatch: pytest.MonkeyPatch):
+    inside = Answers(monkeypatch)
+    made = CheckedReconstructor(inside)
+    for cost, scans in ((0.0, 0), (0.0, 0), (0.9 * CHANGED, 0), (1.1 * CHANGED, 1), (1.2 * CHANGED, 1), (0.0, 2)):
+        inside.cost = cost
+        judged(made)
+        assert inside.scans == scans, cost
+
+
+def test_scenes_that_alternate_are_scanned_in_every_eighth_pair_after_the_first_few(monkeypatch: pytest.MonkeyPatch):
+    inside = Answers(monkeypatch)
+    made = CheckedReconstructor(inside)
+    judged(made)
+    for n in range(80):
+        inside.cost = float(n % 2)
+        judged(made)
+    assert 80 // PAIRS <= inside.scans <= 80 // PAIRS + 5
+
+
+@pytest.mark.parametrize("verdict", ["doubtful", "inconsistent"])
+def test_pairs_that_are_not_consistent_are_scanned_in_every_eighth(monkeypatch: pytest.MonkeyPatch, verdict: str):
+    inside = Answers(monkeypatch)
+    made = CheckedReconstructor(inside)
+    judged(made)
+    inside.verdict = verdict
+    for _ in range(40):
+        judged(made)
+    assert inside.scans == 40 // PAIRS
+
+
+def test_a_refutation_counts_for_eight_pairs_and_says_so(monkeypatch: pytest.MonkeyPatch):
+    inside = Answers(monkeypatch)
+    made = CheckedReconstructor(inside)
+    after = functools.partial(made._after_refutations, confirmed=False)
+    assert after(Consistency("consistent")).verdict == "consistent"
+    refuted = Consistency("inconsistent", findings=("epipolar +1",), cause="a camera is turned")
+    assert after(refuted) is refuted
+    for n in range(1, PAIRS + 1):
+        held = after(Consistency("consistent"))
+        assert (held.verdict, held.cause) == ("inconsistent", refuted.cause)
+        assert held.findings == (f"{n} pairs before: epipolar +1",)
+    assert after(Consistency("consistent")).verdict == "consistent"
+    after(refuted)
+    assert made._after_refutations(Consistency("consistent"), confirmed=True).verdict == "consistent"
+    assert checked_reconstructor._PAIRS == PAIRS
