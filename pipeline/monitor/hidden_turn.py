@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.monitor import sensitivity
-from pipeline.monitor.consistency import LIMITS
+from pipeline.monitor.check.limits import LIMITS
 from pipeline.monitor.explain import rotated
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration

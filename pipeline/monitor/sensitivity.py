@@ -26,6 +26,12 @@ def along_ray(calibration: Calibration, points: F64, first: int) -> tuple[F64, F
     return projector[:, first], calibration.right.project(further) - calibration.right.project(points)
 
 
+def in_the_middle(calibration: Calibration, distance_mm: float, first: int) -> float:
+    """Change of the projector's coordinate per mm of depth, on the ray in the middle of the left image."""
+    ray = calibration.left.normalise((np.array([calibration.left.size]) - 1.0) / 2)[0]
+    return float(along_ray(calibration, np.array([[*ray, 1.0]]) * distance_mm, first)[0][0] / _STEP_MM)
+
+
 def displacement_response(calibration: Calibration, shape: F64, first: int) -> tuple[F64, F64]:
     """Change of observed minus predicted projector coordinate per pixel of displacement of the right image, u and v.
 

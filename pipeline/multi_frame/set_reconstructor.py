@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numba
@@ -21,9 +22,13 @@ from pipeline.multi_frame.set_decoder import ENCODINGS
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.cloud_filters import CloudFilters
-from pipeline.reconstruct.column_correction import CorrectionState
+from pipeline.reconstruct.column_correction import Correction, CorrectionState
+from pipeline.reconstruct.consistency import Consistency
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
+
+Judge = Callable[[Correction, bool], Consistency]
+"""Verdict on a column correction and whether it was measured."""
 
 
 class SetReconstructor:
@@ -37,6 +42,8 @@ class SetReconstructor:
             :func:`pipeline.pattern.mode_sequences.mode_sequence` makes; volume: where surfaces may be.
         encoding: of the raw images, ``rgb8``, ``bayer_....8``, ``mono8`` or ``mono16``.
         settings, clock, threads: as there; filters: of the clouds, None = none.
+        check: makes the judge of the first set's column correction, from calibration, volume and axis (0 = columns);
+            None = not judged. withhold: a cloud of an inconsistent correction has no points.
 
     Raises:
         CalibrationError: when sequence, projector and volume do not fit together.
@@ -54,6 +61,8 @@ class SetReconstructor:
         clock: Callable[[], int] | None = None,
         threads: int = 0,
         filters: CloudFilters | None = None,
+        check: Callable[[Calibration, Volume, int], Judge] | None = None,
+        withhold: bool = True,
     ) -> None:
         if sequence.size != calibration.projector.size:
             raise CalibrationError(
@@ -68,6 +77,8 @@ class SetReconstructor:
         self._clock, self._threads, self._filters = clock, threads, filters
         make = ColorSets if self.plan.kind == "two_color" else GraySets
         self._sets = make(calibration, self.plan, volume, encoding=encoding, settings=self.settings)
+        self._judge = None if check is None else check(calibration, volume, 0 if self.plan.axis == "x" else 1)
+        self._withhold = withhold
 
     @property
     def correction(self) -> NDArray[np.float64]:
@@ -136,5 +147,12 @@ class SetReconstructor:
         if self._threads:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
+        before = self.state()
         cloud = self._sets.cloud(lefts, rights, stride, watch)
+        if self._judge is not None:
+            found = self._judge(self.correction, self.settings.self_calibrate and self.state()[0][1])
+            cloud = replace(cloud, consistency=found)
+            if found.verdict == "inconsistent":
+                self.restore(before)  # the next set is measured like a first one
+                cloud = cloud.withheld() if self._withhold else cloud
         return cloud if self._filters is None else self._filters.apply(cloud, stride=stride)

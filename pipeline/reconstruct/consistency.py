@@ -38,7 +38,7 @@ class Consistency:
 
     Args:
         verdict: ``unknown`` where the scene shows too little surface to decide.
-        readings: what was measured, by name; see :data:`pipeline.monitor.consistency.LIMITS`.
+        readings: what was measured, by name; see :data:`pipeline.monitor.check.limits.LIMITS`.
         findings: one sentence for each reading beyond its limit: name, value, limit.
         cause: which device moved, about which axis and by how much, as far as the data separate them; else empty.
     """
@@ -100,6 +100,7 @@ class ColumnScan:
         across: Mapping[int, float],
         corrected: NDArray[np.float32],
         used_px: float,
+        used_quartile: float,
     ) -> ColumnScan | None:
         """The scan of (n,) offsets with the costs of the pixels at each; None where no pixel has two candidates.
 
@@ -107,8 +108,9 @@ class ColumnScan:
             largest: offset that a drift of the projector explains.
             across: mean least cost by displacement across the epipolar lines, pixels; 0 among them.
             corrected: costs of the pixels at the correction in use, which is ``used_px`` in the middle.
+            used_quartile: the lower quartile there, of the same pixels as later pairs' costs; NaN = too few.
         """
-        if min(map(len, costs)) < LEAST_PIXELS:
+        if min(map(len, costs)) < LEAST_PIXELS or not np.isfinite(used_quartile):
             return None
         means = np.array([cost.mean(dtype=np.float64) for cost in costs])
         quartiles = np.array([np.quantile(cost, 0.25) for cost in costs])
@@ -122,7 +124,7 @@ class ColumnScan:
             float(displaced) if across[displaced] < CLEARLY_LESS * across[0] else 0.0,
             float(OffsetLikelihood.of(np.append(offsets, 0.0), [*costs, corrected]).gain[-1]),
             used_px, float(corrected.mean(dtype=np.float64)),
-            relative_cost(float(np.quantile(corrected, 0.25)), unrelated), unrelated,
+            relative_cost(used_quartile, unrelated), unrelated,
         )  # fmt: skip
 
 

@@ -109,16 +109,25 @@ def scan_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> ColumnSc
         for pixels in (0, *(sign * each for each in _DISPLACEMENTS_PX for sign in (1, -1)))
     }
     corrected = search.least_costs(left, right, made.correction, stride=_STRIDE)
+    current = _current_quartile(made, left, right)
     made.clear_prior()
     middle = (np.array(made.pattern.size) - 1.0) / 2
     along, beside = middle[made.left.first_axis], middle[1 - made.left.first_axis]
-    return ColumnScan.of(offsets, costs, largest, across, corrected, float(made.correction @ (1.0, along, beside)))
+    return ColumnScan.of(
+        offsets, costs, largest, across, corrected, float(made.correction @ (1.0, along, beside)), current
+    )
 
 
 def current_cost(made: Calibrating, left: PhaseMap, right: PhaseMap, scan: ColumnScan) -> float | None:
     """Cost of a pair at the correction in use over that of unrelated phases of the scanned pair; None: no fringes."""
+    quartile = _current_quartile(made, left, right)
+    return relative_cost(quartile, scan.unrelated) if np.isfinite(quartile) else None
+
+
+def _current_quartile(made: Calibrating, left: PhaseMap, right: PhaseMap) -> float:
+    """Lower quartile of the pixels' costs at the correction in use; NaN without fringes."""
     costs = made.searches[0].least_costs(left, right, made.correction, stride=_CURRENT_STRIDE)
-    return relative_cost(float(np.quantile(costs, 0.25)), scan.unrelated) if len(costs) >= LEAST_PIXELS else None
+    return float(np.quantile(costs, 0.25)) if len(costs) >= LEAST_PIXELS else np.nan
 
 
 def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> MatchResult:

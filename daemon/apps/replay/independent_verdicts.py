@@ -13,7 +13,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from pipeline.monitor.checked_reconstructor import CheckedReconstructor, FirstPair
+from pipeline.monitor.check.checked_reconstructor import CheckedReconstructor, FirstPair
 from pipeline.reconstruct.cloud import Cloud
 
 

@@ -14,7 +14,8 @@ from daemon.rig.calibration_file import CalibrationFile
 from daemon.rig.camera_serials import serial_problem, serials_in, serials_of_take
 from pipeline.common.errors import CalibrationError
 from pipeline.common.settings import Settings
-from pipeline.monitor.checked_reconstructor import Policy
+from pipeline.monitor.check.checked_reconstructor import Policy
+from pipeline.monitor.check.set_check import SetCheck
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.order_check import order_warning
 from pipeline.pattern.sequence import FrameSequence
@@ -31,7 +32,7 @@ from pipeline.rig.volume import Volume
 class Run:
     """One reconstruction of a pair; ``ms`` by stage, ``total_ms`` in total.
 
-    ``consistency``: verdict, reason and readings of the calibration check, None without a check or for a set.
+    ``consistency``: verdict, reason and readings of the calibration check, None without a check.
     """
 
     sequence: int
@@ -71,7 +72,10 @@ def warmed_reconstructor(
         return single
     from pipeline.multi_frame.set_reconstructor import SetReconstructor
 
-    sets = SetReconstructor(calibration, pattern, volume, filters=filters, **options)
+    check = None if policy == "off" else SetCheck
+    sets = SetReconstructor(
+        calibration, pattern, volume, filters=filters, check=check, withhold=policy == "withhold", **options
+    )
     sets.warm_up()
     return sets
 

@@ -23,7 +23,7 @@ from daemon.recording.read.take_reader import TakePair, TakeReader
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
 from pipeline.common.errors import PipelineError
 from pipeline.common.settings import Settings
-from pipeline.monitor.checked_reconstructor import Policy
+from pipeline.monitor.check.checked_reconstructor import Policy
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.pose import Pose

@@ -13,7 +13,7 @@ from typing import Any
 
 from daemon.common.version import program_version
 from pipeline.common.settings import Settings
-from pipeline.monitor.checked_reconstructor import Policy
+from pipeline.monitor.check.checked_reconstructor import Policy
 
 CLOUD_KINDS = ("npz", "ply", "pcd", "zarr")
 

@@ -89,7 +89,7 @@ def main(
     from daemon.config.presets import read_preset
     from daemon.recording.read.take_reader import TakeReader
     from daemon.rig.pose_file import read_pose
-    from pipeline.monitor.checked_reconstructor import Policy
+    from pipeline.monitor.check.checked_reconstructor import Policy
 
     if kind not in KINDS:
         raise InputError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")

@@ -70,7 +70,7 @@ def main(
     from daemon.common.errors import InputError
     from daemon.common.files import read_at_most
     from daemon.rig.calibration_file import SIZE_LIMIT, parse_calibration
-    from pipeline.monitor.checked_reconstructor import Policy
+    from pipeline.monitor.check.checked_reconstructor import Policy
 
     if kind not in (*CLOUD_KINDS, "none"):
         raise InputError(f"unknown cloud format {kind!r}, expected one of: {', '.join(CLOUD_KINDS)}, none")

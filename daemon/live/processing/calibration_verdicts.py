@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from pipeline.monitor.checked_reconstructor import Policy
+from pipeline.monitor.check.checked_reconstructor import Policy
 from pipeline.reconstruct.consistency import Consistency, Verdict
 
 log = logging.getLogger("fringed.pipeline")

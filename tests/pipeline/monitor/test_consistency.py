@@ -12,8 +12,8 @@ import pytest
 
 from benchmarks.reconstruction.cases import HARD, scaled
 from pipeline.monitor import observe
-from pipeline.monitor.checked_reconstructor import CheckedReconstructor
-from pipeline.monitor.consistency import LIMITS, judged, together
+from pipeline.monitor.check.checked_reconstructor import CheckedReconstructor
+from pipeline.monitor.check.consistency import LIMITS, judged, together
 from pipeline.monitor.observe import Observer
 from pipeline.reconstruct.consistency import NOISE_COST, ColumnScan, Reading
 from pipeline.reconstruct.reconstructor import Reconstructor
@@ -261,14 +261,15 @@ def test_a_scan_finds_the_offset_with_the_least_cost_and_its_share_of_unrelated_
     offsets = np.arange(-6.0, 7.0)
     costs = [np.full(500, 0.3, np.float32) for _ in offsets]
     costs[9][:] = 0.06
-    scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1, 1: 0.091, -3: 0.0901}, costs[6], 0.0)
+    scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1, 1: 0.091, -3: 0.0901}, costs[6], 0.0, 0.3)
     assert (scan.offset_px, scan.cost) == (3.0, pytest.approx(0.06))
     assert abs(scan.allowed_px) <= 2
-    assert scan.relative_cost == scan.used_relative == pytest.approx(1.0)
+    assert (scan.relative_cost, scan.used_relative) == (pytest.approx(1.0), pytest.approx(1.0))
     assert (scan.used_cost, scan.unrelated) == (pytest.approx(0.3), pytest.approx(0.3))
     assert scan.across_px == 0.0  # no displacement costs clearly less than none
-    assert ColumnScan.of(offsets, costs, 2.0, {0: 0.1, 1: 0.09, -3: 0.08}, costs[6], 0.0).across_px == -3.0
-    assert ColumnScan.of(offsets, [cost[:10] for cost in costs], 2.0, {0: 0.1}, costs[6], 0.0) is None
+    assert ColumnScan.of(offsets, costs, 2.0, {0: 0.1, 1: 0.09, -3: 0.08}, costs[6], 0.0, 0.3).across_px == -3.0
+    assert ColumnScan.of(offsets, costs, 2.0, {0: 0.1}, costs[6], 0.0, np.nan) is None
+    assert ColumnScan.of(offsets, [cost[:10] for cost in costs], 2.0, {0: 0.1}, costs[6], 0.0, 0.3) is None
 
 
 def test_costs_count_as_far_as_they_exceed_that_of_noise():
@@ -276,7 +277,7 @@ def test_costs_count_as_far_as_they_exceed_that_of_noise():
     for here, elsewhere, share in ((1.0, 2.0, 0.0), (2.0, 3.0, 0.5), (3.0, 3.0, 1.0), (0.5, 0.8, 0.0)):
         costs = [np.full(500, elsewhere * NOISE_COST, np.float32) for _ in offsets]
         costs[6][:] = here * NOISE_COST
-        scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1}, costs[6], 0.0)
+        scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1}, costs[6], 0.0, 0.3)
         assert scan.relative_cost == pytest.approx(share, abs=1e-4)
 
 
@@ -296,7 +297,7 @@ def test_a_high_cost_refutes_nothing_where_patches_and_some_pixels_agree(
     costs = [rng.exponential(0.1, 500).astype(np.float32) for _ in offsets]
     corrected = costs[6].copy()
     corrected[:agreeing] = rng.exponential(0.003, agreeing)
-    scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1}, corrected, 0.0)
+    scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1}, corrected, 0.0, 0.1)
     images = pair("mixed")
     checked = reconstructor(turned(LAYOUT.calibration_for(STANDARD), "projector", ROLL, roll), "off")
     cloud = checked.reconstruct(images.left, images.right)
@@ -317,7 +318,7 @@ def test_columns_that_fit_clearly_better_at_another_offset_are_refuted(used_px: 
     costs[8] = rng.exponential(0.01, 500).astype(np.float32)
     corrected = costs[6].copy()
     corrected[:agreeing] = rng.exponential(0.001, agreeing)
-    scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1}, corrected, used_px)
+    scan = ColumnScan.of(offsets, costs, 2.0, {0: 0.1}, corrected, used_px, 0.1)
     images = pair("mixed")
     checked = reconstructor(policy="off")
     found = checked.new_check().check(

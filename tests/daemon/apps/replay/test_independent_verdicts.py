@@ -9,7 +9,7 @@ import pytest
 
 from daemon.apps.replay.independent_verdicts import IndependentVerdicts
 from daemon.recording.read.take_reader import TakeReader
-from pipeline.monitor import consistency
+from pipeline.monitor.check import consistency
 from pipeline.reconstruct import first_pair
 from pipeline.reconstruct.reconstructor import Reconstructor
 

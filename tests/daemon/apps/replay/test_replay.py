@@ -16,7 +16,7 @@ import yaml
 
 from daemon.apps.export.cloud_files import read_cloud
 from daemon.cli.takes.replay import INCONSISTENT
-from pipeline.monitor.consistency import ConsistencyCheck, judged
+from pipeline.monitor.check.consistency import ConsistencyCheck, judged
 from pipeline.reconstruct.consistency import Consistency, Reading
 from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.rig import rig_files

@@ -16,7 +16,7 @@ from daemon.apps.reprocess.engine.tasks import InlineEngine
 from daemon.recording.read.take_reader import TakeReader
 from pipeline.common.errors import ImageError
 from pipeline.common.settings import Settings
-from pipeline.monitor import consistency
+from pipeline.monitor.check import consistency
 from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.rig import rig_files
 from tests.daemon.apps.reprocess.takes import files_of, replayed, reprocess, write

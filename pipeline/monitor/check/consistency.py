@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
 from pipeline.monitor import sensitivity, texture_disparity
+from pipeline.monitor.check.cause import LEAST_SHARE, baseline_share, cause_of
+from pipeline.monitor.check.limits import LIMITS, SIGMAS, judged
 from pipeline.monitor.observe import Observer, Patches
 from pipeline.monitor.robust import fit, scale_of
 from pipeline.pattern.color_fringe import ColorFringe
@@ -26,36 +28,14 @@ from pipeline.reconstruct.consistency import ColumnScan, Consistency, Reading
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
 
-LIMITS: dict[str, tuple[tuple[float, float], str]] = {
-    "column_offset": ((0.012, 0.030), "degrees of the projector"),
-    "depth_offset": ((2.0, 4.0), "mm of depth, if it was the right camera"),
-    "column_x": ((0.006, 0.010), "degrees of the projector, middle to edge"),
-    "column_y": ((0.0025, 0.0050), "degrees of the projector, middle to edge"),
-    "column_scatter": ((0.025, 0.032), "rad of the fringe's phase"),
-    "epipolar": ((0.014, 0.025), "degrees of the right camera"),
-    "epipolar_x": ((0.030, 0.050), "degrees of the right camera, middle to edge"),
-    "epipolar_y": ((0.020, 0.040), "degrees of the right camera, middle to edge"),
-    "left_roll": ((0.020, 0.033), "degrees"),
-    "right_roll": ((0.020, 0.033), "degrees"),
-    "order_cost": ((0.50, 0.60), "of the cost of unrelated phases"),
-    "order_cost_beside_agreement": ((0.50, np.inf), "of the cost of unrelated phases"),
-    "scanned_drift": ((0.012, 0.030), "degrees of the projector"),
-    "scanned_offset": ((np.inf, 0.0), "degrees of the projector"),
-    "scanned_change": ((np.inf, 0.0), "degrees of the projector"),
-    "scanned_epipolar": ((np.inf, 0.0), "degrees of the right camera"),
-}
-"""Limit of ``doubtful``, limit of ``inconsistent``, unit."""
-SIGMAS = 4.0
-"""A reading is beyond a limit when it is so by this many of its standard deviations."""
 _AGREEMENT = 3.0  # standard deviations of the difference
 _LEAST_PATCHES = 16
 _CLEARLY_LESS = 0.85
 _AGREEMENT_GAIN = 0.005
 """Gain of :class:`pipeline.reconstruct.consistency.ColumnScan` from which some pixels agree up to noise. Where patches
 agree as well, a high cost of all pixels is that of surfaces out of reach or of an unknown response, no refutation."""
-_LEAST_CHANGE_PX = 0.3
-"""Columns from the correction in use to the offset that costs clearly less, in steps of a quarter of a column."""
-_LEAST_SHARE = 0.05
+_LEAST_CHANGE_PX = 0.2
+"""Columns from the correction in use to the offset that costs clearly less, one of steps of a quarter of a column."""
 
 
 class ConsistencyCheck:
@@ -91,7 +71,7 @@ class ConsistencyCheck:
         readings = self.readings(self._observer.patches(left, right, cloud))
         if scan is not None:
             readings |= self._scanned(scan, readings) | ({} if "column_offset" in readings else self._drift(scan))
-        return judged(readings, self._cause(readings))
+        return judged(readings, cause_of(readings, self.calibration))
 
     def readings(self, patches: Patches) -> dict[str, Reading]:
         """All readings that these patches show, in the units of :data:`LIMITS`."""
@@ -137,12 +117,12 @@ class ConsistencyCheck:
         across, along = readings.get("epipolar_x"), readings["column_y"]
         if across is None:
             return {}
-        out, share = {}, self._baseline_share()
+        out, share = {}, baseline_share(self.calibration)
         for name, camera, part, sign in (
             ("right_roll", self.calibration.right, share, 1.0),
             ("left_roll", self.calibration.left, 1.0 - share, -1.0),
         ):
-            if abs(part) < _LEAST_SHARE:
+            if abs(part) < LEAST_SHARE:
                 continue
             half = 0.5 * np.array(camera.size) / np.diag(camera.matrix)[:2]
             one = Reading(sign * across.value / half[self._first], across.sigma / half[self._first])
@@ -170,49 +150,11 @@ class ConsistencyCheck:
 
     def _drift(self, scan: ColumnScan) -> dict[str, Reading]:
         """Column offset of a scene whose surface gives too few patches, on which the column correction relies."""
-        middle = self.calibration.left.normalise((np.array([self.calibration.left.size]) - 1.0) / 2)
-        point = np.append(middle[0], 1.0)[None] * self._middle_mm
-        per_mm = float(sensitivity.along_ray(self.calibration, point, self._first)[0][0])
+        per_mm = sensitivity.in_the_middle(self.calibration, self._middle_mm, self._first)
         return {
             "scanned_drift": Reading(scan.allowed_px * self._projector_deg, 0.0),
             "depth_offset": Reading(-scan.allowed_px / per_mm, 0.0),
         }
-
-    def _cause(self, readings: dict[str, Reading]) -> str:
-        """Device, axis and angle that explain the largest reading; two devices where they cannot be separated."""
-        beyond = {name: abs(reading.value) for name, reading in readings.items() if _excess(name, reading) > 0}
-        scanned = [name for name in ("scanned_offset", "scanned_change") if name in beyond]
-        if scanned or beyond.keys() & {"column_offset", "scanned_drift", "depth_offset"}:
-            measured = "column_offset" if "column_offset" in readings else "scanned_drift"
-            offset = abs(readings[(*scanned, measured)[0]].value)
-            return (
-                f"the right camera is turned about its vertical axis by {offset / self._baseline_share():.2f} degrees, "
-                f"or the projector by {offset:.2f} degrees: one pair does not separate them"
-            )
-        for name in ("scanned_epipolar", "epipolar"):
-            if name in beyond:
-                return f"a camera is turned about its horizontal axis by {beyond[name]:.2f} degrees"
-        for side in ("right", "left"):
-            if f"{side}_roll" in beyond:
-                angle = beyond[f"{side}_roll"]
-                return f"the {side} camera is turned about its optical axis by {angle:.2f} degrees"
-        left = self.calibration.left
-        if "epipolar_x" in beyond or "epipolar_y" in beyond:
-            return "a camera is turned about its optical axis, or its lens differs from the calibrated one"
-        if "column_y" in beyond:
-            angle = beyond["column_y"] / (0.5 * left.size[1] / left.matrix[1, 1])
-            return f"the projector is turned about its optical axis by {angle:.2f} degrees"
-        if "column_x" in beyond:
-            return "a focal length differs from the calibrated one, or a device has moved along the baseline"
-        if "order_cost" in beyond:
-            return "the images do not belong to this calibration: cameras exchanged, or a device has moved far"
-        return "a device has moved" if beyond else ""
-
-    def _baseline_share(self) -> float:
-        """Distance left camera to projector over the distance of the cameras."""
-        left, right = self.calibration.left.centre, self.calibration.right.centre
-        share = (self.calibration.projector.centre - left) @ (right - left) / ((right - left) @ (right - left))
-        return max(abs(float(share)), _LEAST_SHARE)
 
 
 _SURFACE_PX = 0.02  # what slopes and textures alone make of the epipolar displacement
@@ -228,21 +170,6 @@ def _independent(design: NDArray[np.float64], column: int) -> float:
     return float(np.sqrt(np.mean(own * own))) + 1e-12
 
 
-def judged(readings: dict[str, Reading], cause: str = "") -> Consistency:
-    """The verdict of readings: the worst of all; unknown where the surface gives none."""
-    findings, worst = [], 0
-    for name, reading in readings.items():
-        level = 2 if _excess(name, reading) > 0 else 1 if _excess(name, reading, which=0) > 0 else 0
-        if level:
-            limits, unit = LIMITS[name]
-            findings.append(f"{name} {reading.value:+.4f} +- {reading.sigma:.4f}, limit {limits[level - 1]:g} {unit}")
-        worst = max(worst, level)
-    if "column_offset" not in readings and worst < 2:
-        return Consistency("unknown", readings, tuple(findings))
-    verdict = ("consistent", "doubtful", "inconsistent")[worst]
-    return Consistency(verdict, readings, tuple(findings), cause if worst == 2 else "")  # type: ignore[arg-type]
-
-
 def together(one: Reading, two: Reading) -> Reading:
     """Weighted mean of two readings that are both certain and agree; of others the smaller one."""
     certain = all(abs(reading.value) > SIGMAS * reading.sigma for reading in (one, two))
@@ -250,14 +177,3 @@ def together(one: Reading, two: Reading) -> Reading:
         return min(one, two, key=lambda reading: abs(reading.value))
     weights = one.sigma**-2, two.sigma**-2
     return Reading((weights[0] * one.value + weights[1] * two.value) / sum(weights), sum(weights) ** -0.5)
-
-
-def _excess(name: str, reading: Reading, which: int = 1) -> float:
-    """How far a reading is beyond a limit for certain.
-
-    The deviation of a scatter is proportional to the scatter itself. What a rig at the limit would show is decisive, so
-    the deviation is that of the limit; of what was read it would grow with it, and hide a scatter of twice the limit.
-    """
-    value, limit = abs(reading.value), LIMITS[name][0][which]
-    sigma = reading.sigma * min(1.0, limit / value) if name == "column_scatter" and value else reading.sigma
-    return value - SIGMAS * sigma - limit

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.monitor import observe
-from pipeline.monitor.consistency import LIMITS, ConsistencyCheck
+from pipeline.monitor.check.consistency import ConsistencyCheck
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.cloud_filters import CloudFilters
 from pipeline.reconstruct.column_correction import CorrectionState
@@ -37,8 +37,9 @@ of one rig differ by up to 0.06, over-exposed ones by more; turns that make poin
 class CheckedReconstructor:
     """Reconstructs like :class:`Reconstructor` and judges every pair; not for use from two threads at once.
 
-    A refutation counts for the next pairs too. While pairs are refuted, every eighth is measured like a first pair:
-    what has moved as far as a projector drifts, or a first pair that showed nothing useful, is corrected so.
+    A refutation counts for the next pairs too. While pairs are refuted, every eighth, and the next one where the
+    columns have moved, is measured like a first pair: a projector's drift, or a first pair that showed nothing useful,
+    is corrected so.
 
     Args:
         reconstructor: makes the clouds.
@@ -56,6 +57,7 @@ class CheckedReconstructor:
         self._since_scan, self._scans = 0, float(_MOST_SCANS)
         self._refutation: Consistency | None = None
         self._since_refutation = self._withheld = 0
+        self._was_right = False
 
     @property
     def mode(self) -> str:
@@ -103,21 +105,17 @@ class CheckedReconstructor:
     def _judged(self, left: NDArray[Any], right: NDArray[Any], make: Callable[[], Cloud]) -> Cloud:
         """The cloud with its verdict."""
         before = FirstPair.of(self.inner)
-        due = self._withheld > 0 and self._withheld % _PAIRS == 0
-        if anew := due and before.measured and self.inner.settings.self_calibrate:
+        if anew := self._is_due() and before.measured and self.inner.settings.self_calibrate:
             self.inner.restore(self._unmeasured)
         cloud = make()
         found = self._verdict(left, right, cloud)
-        confirmed = anew and self._is_clear(found)
+        # A rig that was consistent has moved by more than a drift if it is doubtful now.
+        confirmed = anew and (found.verdict == "consistent" or (found.verdict == "doubtful" and not self._was_right))
         if anew and not confirmed:
             before.restore(self.inner)
-        return replace(cloud, consistency=self._after_refutations(found, confirmed=confirmed))
-
-    def _is_clear(self, found: Consistency) -> bool:
-        """Whether what was measured anew fits so well that it replaces what was there before."""
-        scan = self.inner.scan
-        fits = scan is not None and scan.relative_cost < LIMITS["order_cost"][0][0]
-        return fits and found.verdict in ("consistent", "doubtful")
+        found = self._after_refutations(found, confirmed=confirmed)
+        self._was_right |= found.verdict in ("consistent", "doubtful")
+        return replace(cloud, consistency=found)
 
     def _verdict(self, left: NDArray[Any], right: NDArray[Any], cloud: Cloud) -> Consistency:
         """The verdict on a pair of raw images and its cloud, without those on earlier pairs."""
@@ -142,6 +140,11 @@ class CheckedReconstructor:
         if self._since_scan >= _PAIRS and found.verdict in ("doubtful", "inconsistent"):
             return True
         return self._scans >= 1 and self.cost_has_changed()
+
+    def _is_due(self) -> bool:
+        """Whether the next pair is measured like a first one: at once where the columns have moved."""
+        moved = self._refutation is not None and "scanned_change" in self._refutation.readings
+        return self._withheld > 0 and (self._withheld % _PAIRS == 0 or (moved and self._withheld == 1))
 
     def _after_refutations(self, found: Consistency, *, confirmed: bool) -> Consistency:
         """Refuted as long as one of the last pairs was, unless the pair was measured anew and confirmed."""

@@ -1,0 +1,1 @@
+"""The check of every pair against the calibration, by fixed limits."""

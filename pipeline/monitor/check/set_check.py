@@ -1,0 +1,51 @@
+"""Check of the column correction that the first set of a multi-frame mode gives.
+
+The metric comes from the cameras, so a turn of one about its vertical axis displaces the whole surface and leaves only
+a constant offset of the columns, which the correction takes up. What it takes up beyond a projector's drift is a
+finding. Roll shows as a slope across the columns; a turn about the horizontal axis does not show.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.monitor import sensitivity
+from pipeline.monitor.check.cause import cause_of
+from pipeline.monitor.check.limits import judged
+from pipeline.reconstruct.consistency import Consistency, Reading
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
+
+
+class SetCheck:
+    """Judges column corrections.
+
+    Args:
+        calibration, volume: of the rig.
+        first: 0 if the phase grows along the projector's columns, 1 along its rows.
+    """
+
+    def __init__(self, calibration: Calibration, volume: Volume, first: int) -> None:
+        self._calibration, self._first = calibration, first
+        device = calibration.projector
+        size = np.array([device.size[first], device.size[1 - first]]) - 1.0
+        self._middle, self._half = np.array([1.0, *(size / 2)]), size / 2
+        self._degrees = float(np.degrees(1 / device.matrix[first, first]))
+        self._per_mm = sensitivity.in_the_middle(calibration, (volume.near_mm + volume.far_mm) / 2, first)
+
+    def __call__(self, correction: NDArray[np.float64], measured: bool) -> Consistency:
+        """The verdict on a correction (3,): offset, slope along, slope across; unknown where it was not measured."""
+        if not measured:
+            return Consistency("unknown")
+        offset = float(correction @ self._middle)
+        # Along the fringes' axis and across it, which is x and y of the images or the reverse.
+        slopes = (correction[1:] * self._half * self._degrees).tolist()
+        horizontal, vertical = slopes if self._first == 0 else slopes[::-1]
+        readings = {
+            "column_offset": Reading(offset * self._degrees, 0.0),
+            "depth_offset": Reading(-offset / self._per_mm, 0.0),
+            "column_x": Reading(horizontal, 0.0),
+            "column_y": Reading(vertical, 0.0),
+        }
+        return judged(readings, cause_of(readings, self._calibration))
