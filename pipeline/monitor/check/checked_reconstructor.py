@@ -26,7 +26,7 @@ from pipeline.reconstruct.reconstructor import Reconstructor
 Policy = Literal["withhold", "warn", "off"]
 _PAIRS = 8
 """Pairs from a column scan to the next of pairs that are not consistent, for which a refutation counts, and after which
-the columns are measured anew."""
+the columns are measured again."""
 _MOST_SCANS = 4
 """Scans that may follow each other at once because the cost has changed; one more is allowed every :data:`_PAIRS`."""
 CHANGED = 0.05
@@ -105,13 +105,13 @@ class CheckedReconstructor:
     def _judged(self, left: NDArray[Any], right: NDArray[Any], make: Callable[[], Cloud]) -> Cloud:
         """The cloud with its verdict."""
         before = FirstPair.of(self.inner)
-        if anew := self._is_due() and before.measured and self.inner.settings.self_calibrate:
+        if again := self._is_due() and before.measured and self.inner.settings.self_calibrate:
             self.inner.restore(self._unmeasured)
         cloud = make()
         found = self._verdict(left, right, cloud)
         # A rig that was consistent has moved by more than a drift if it is doubtful now.
-        confirmed = anew and (found.verdict == "consistent" or (found.verdict == "doubtful" and not self._was_right))
-        if anew and not confirmed:
+        confirmed = again and (found.verdict == "consistent" or (found.verdict == "doubtful" and not self._was_right))
+        if again and not confirmed:
             before.restore(self.inner)
         found = self._after_refutations(found, confirmed=confirmed)
         self._was_right |= found.verdict in ("consistent", "doubtful")
@@ -147,7 +147,7 @@ class CheckedReconstructor:
         return self._withheld > 0 and (self._withheld % _PAIRS == 0 or (moved and self._withheld == 1))
 
     def _after_refutations(self, found: Consistency, *, confirmed: bool) -> Consistency:
-        """Refuted as long as one of the last pairs was, unless the pair was measured anew and confirmed."""
+        """Refuted as long as one of the last pairs was, unless the pair was measured again and confirmed."""
         if found.verdict == "inconsistent":
             self._refutation, self._since_refutation = found, 0
         elif self._refutation is not None:

@@ -1,4 +1,4 @@
-"""While it runs: a device that moves is refuted at once, a refutation lasts, and what can be measured anew is."""
+"""While it runs: a device that moves is refuted at once, a refutation lasts, and what can be measured again is."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_an_image_of_the_other_camera_is_refuted_with_the_next_pair_and_so_is_it
     [("projector", 0.008, "consistent"), ("right", 0.05, "inconsistent")],
     ids=["by a projector's drift", "by a turn of the right camera"],
 )
-def test_columns_that_have_moved_are_measured_anew_and_kept_if_that_is_a_drift(device: str, degrees: float, last: str):
+def test_columns_that_have_moved_are_measured_again_and_kept_if_that_is_a_drift(device: str, degrees: float, last: str):
     """With the columns of the first pair points are lost, and most of the second one's are wrong."""
     made, moved = running("warn"), images(device, 1, degrees)
     truth, _ = truths(CASE.layout, build(CASE.scene))
@@ -174,7 +174,7 @@ def test_pairs_that_are_not_consistent_are_scanned_in_every_eighth(monkeypatch: 
     assert inside.scans == 40 // PAIRS
 
 
-def test_a_refutation_counts_for_eight_pairs_and_says_so(monkeypatch: pytest.MonkeyPatch):
+def test_a_refutation_counts_for_eight_pairs_and_its_finding_is_named(monkeypatch: pytest.MonkeyPatch):
     inside = Answers(monkeypatch)
     made = CheckedReconstructor(inside)
     after = functools.partial(made._after_refutations, confirmed=False)
