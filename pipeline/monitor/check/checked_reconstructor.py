@@ -15,6 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.common.errors import PipelineError
 from pipeline.monitor import observe
 from pipeline.monitor.check.consistency import ConsistencyCheck
 from pipeline.reconstruct.cloud import Cloud
@@ -107,7 +108,11 @@ class CheckedReconstructor:
         before = FirstPair.of(self.inner)
         if again := self._is_due() and before.measured and self.inner.settings.self_calibrate:
             self.inner.restore(self._unmeasured)
-        cloud = make()
+        try:
+            cloud = make()
+        except PipelineError:
+            before.restore(self.inner)
+            raise
         found = self._verdict(left, right, cloud)
         # A rig that was consistent has moved by more than a drift if it is doubtful now.
         confirmed = again and (found.verdict == "consistent" or (found.verdict == "doubtful" and not self._was_right))

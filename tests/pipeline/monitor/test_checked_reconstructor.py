@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.calibration.disturbed import images_of, turned
 from benchmarks.reconstruction.cases import Case, scaled
+from pipeline.common.errors import ImageError
 from pipeline.monitor.check import checked_reconstructor
 from pipeline.monitor.check.checked_reconstructor import CHANGED, CheckedReconstructor
 from pipeline.reconstruct.consistency import ColumnScan, Consistency
@@ -104,6 +105,19 @@ def test_a_first_pair_that_shows_nothing_useful_is_replaced():
     last = [made.reconstruct(*good) for _ in range(2 * PAIRS + 1)][-1]
     assert last.consistency.verdict == "consistent"
     np.testing.assert_array_equal(last.xyz, running().reconstruct(*good).xyz)
+
+
+def test_an_image_of_another_size_costs_no_state():
+    made, good = fresh(), images()
+    assert made.reconstruct(good[0], good[0]).points == 0
+    before = made.inner.state()
+    for _ in range(PAIRS - 1):
+        made.reconstruct(*good)
+    with pytest.raises(ImageError, match="expected"):  # of a pair that is measured like a first one
+        made.reconstruct(good[0][:-1], good[1])
+    assert made.inner.state()[1] is before[1] is True
+    last = [made.reconstruct(*good) for _ in range(PAIRS + 2)][-1]
+    assert last.consistency.verdict == "consistent"
 
 
 def test_the_check_does_not_change_clouds_that_expect_the_orders_of_the_pair_before():
