@@ -18,6 +18,7 @@ from rich.console import Console
 
 from benchmarks.common.tables import Table
 from benchmarks.reconstruction.cases import HARD, Case, scaled
+from pipeline.monitor.check.checked_reconstructor import CheckedReconstructor
 from sim.evaluate.point_errors import point_errors
 from sim.render import sensor
 from sim.render.projected_light import projected_light
@@ -132,18 +133,20 @@ def table_of(case: Case) -> tuple[Table, list[str]]:
         for device in (rig.left, rig.right)
     )
     truth, _ = truths(case.layout, scene)
-    columns = ["effect", "within 1 mm %", "wrong %", "false surfaces", "rms um", "error / sigma"]
+    columns = ["effect", "within 1 mm %", "wrong %", "false surfaces", "rms um", "error / sigma", "verdict"]
     table, missed = Table("effects", f"Effects that the simulator does not have, {case.name}", columns), []
     for name in (*LIGHT, *COUNTS, *IMAGES):
-        cloud = case.reconstructor().reconstruct(*with_effect(name, (left, right), case))
+        cloud = CheckedReconstructor(case.reconstructor(), "warn").reconstruct(*with_effect(name, (left, right), case))
         found = point_errors(cloud.xyz, cloud.sigma_mm, truth, (volume.near_mm, volume.far_mm))
+        verdict = cloud.consistency.verdict if cloud.consistency is not None else ""
         table.add(
             name, f"{100 * found.covered:.2f}", f"{100 * found.wrong:.3f}",
             f"{found.false_surfaces} of {found.false_points}", f"{1e3 * found.rms_mm:.0f}",
-            f"{found.error_to_sigma:.2f}",
+            f"{found.error_to_sigma:.2f}", verdict,
         )  # fmt: skip
         least, most = _SIGMA_RANGE
-        if found.wrong > LARGEST_WRONG or found.false_surfaces or not least <= found.error_to_sigma <= most:
+        wrong = found.wrong > LARGEST_WRONG or found.false_surfaces or not least <= found.error_to_sigma <= most
+        if wrong or verdict == "inconsistent":
             missed.append(name)
     return table, missed
 

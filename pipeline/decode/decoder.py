@@ -27,7 +27,7 @@ from pipeline.decode.kernels.local_mean import BoxMean
 from pipeline.decode.kernels.mosaic_fit import EIGHTHS
 from pipeline.decode.kernels.window_fit import weights_of
 from pipeline.decode.noise_model import NoiseModel, estimate
-from pipeline.decode.pixel_descriptor import normalised_phase
+from pipeline.decode.pixel_descriptor import divide_means, normalised_phase
 from pipeline.decode.raw_image import read_only
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration, ColorModel
@@ -92,6 +92,7 @@ class Decoder:
         mosaic: (2, 2) channel numbers of a Bayer sensor, or None.
         slopes: expected phase steps per pixel in this camera's image, (x, y) radians; one of them is 0.
         chromatic: correction of lateral chromatic aberration, with the shifts that go with it; None = none.
+        brightness: of this camera's images relative to the other one's; the means of its descriptors are divided by it.
     """
 
     def __init__(
@@ -103,6 +104,7 @@ class Decoder:
         slopes: tuple[float, float],
         settings: Settings,
         chromatic: ChromaticCorrection | None = None,
+        brightness: float = 1.0,
     ) -> None:
         chromatic = ChromaticCorrection.none(shifts) if chromatic is None else chromatic
         shifts, self._chromatic = chromatic.shifts, chromatic
@@ -124,11 +126,12 @@ class Decoder:
         self._weights = np.zeros(3, np.float32)
         self._weights[: self._radius + 1] = weights_of(self._radius, sigma)[self._radius, self._radius :]
         self._planes: dict[str, NDArray[Any]] = {}
+        self._brightness = brightness
 
     @staticmethod
     def of_left(
         calibration: Calibration, pattern: ColorFringe, *, mosaic: NDArray[np.int64] | None,
-        slopes: tuple[float, float], settings: Settings, depth_mm: float,
+        slopes: tuple[float, float], settings: Settings, depth_mm: float, brightness: float = 1.0,
     ) -> Decoder:  # fmt: skip
         """The left camera's decoder (pass ``calibration.swapped()`` for the right one), its colours corrected.
 
@@ -137,7 +140,10 @@ class Decoder:
         """
         color = calibration.left_color
         chromatic = chromatic_correction(calibration, pattern, color, depth_mm)
-        return Decoder(color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings, chromatic=chromatic)
+        return Decoder(
+            color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings, chromatic=chromatic,
+            brightness=brightness,
+        )  # fmt: skip
 
     def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
         """Phase of a raw image, (H, W, 3) three-chip or (H, W) mosaic; overwrites the last image's planes."""
@@ -160,6 +166,8 @@ class Decoder:
             decode_rgb(BANDS, image.reshape(height, 3 * width), *common)
         else:
             decode_bayer(BANDS, image, self._mosaic, self._rows, *common)
+        if self._brightness != 1:
+            divide_means(planes["descriptors"], self._brightness)
         return PhaseMap(
             planes["phasor"], planes["descriptors"], mean, planes["variance"],
             float(planes["saturated"].sum()) / (height * width), planes["phase"],

@@ -85,6 +85,12 @@ def descriptors_without_color(i: int, phase: Any, valid: Any, mean: Any, out: An
     complete_row(phase[i], valid[i], mean[i], out[i])
 
 
+def divide_means(descriptors: NDArray[np.int32], divisor: float) -> None:
+    """Divide the means of descriptors, in place; largest 255. Cameras of unequal brightness become comparable so."""
+    means = np.minimum(np.rint(np.arange(256) / divisor), 255).astype(np.int32)
+    descriptors[...] = (descriptors & ~_MEAN) | means[descriptors & _MEAN]
+
+
 def normalised_phase(descriptors: NDArray[np.int32]) -> NDArray[np.float32]:
     """Normalised phases of descriptors, radians."""
     return np.asarray(((descriptors << 12) & _NORMALISED) * RADIANS, dtype=np.float32)

@@ -1,8 +1,9 @@
-"""Differences of both cameras' responses that the calibration does not know: white balance and sharpness.
+"""Differences of both cameras' responses that the calibration does not know: white balance, sharpness, brightness.
 
 The phase error of a coloured surface cancels between the cameras where both see the same colours with the same fringe
 contrast. A white balance of one camera displaces every point instead, and a blur of one camera those of coloured
-surfaces. Both are measured once, at matched points of the first pair, where both cameras see the same surfaces.
+surfaces. Where one camera's images are brighter, by aperture, gain or exposure time, right orders have different
+textures. All are measured once, at matched points of the first pair, where both cameras see the same surfaces.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ F64 = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-EQUAL: F64 = np.ones(4)
-"""Both cameras respond alike: gains of R, G, B of the right camera, relative to their mean, and its contrast."""
+EQUAL: F64 = np.ones(5)
+"""Both cameras respond alike: gains of R, G, B of the right camera relative to their mean, its contrast, brightness."""
 CERTAINLY_UNEQUAL = 0.1
 """Relative difference from which whole images show a white balance: they do not see quite the same surfaces."""
 UNEQUAL, CORRECTED = 0.015, 0.003
 """Relative difference that matched points show certainly, and that is left when it is corrected."""
+BRIGHTER, CERTAINLY_BRIGHTER = 0.1, 0.25
+"""Relative difference of brightness from which it is corrected, at matched points and of whole images."""
 LAG = 2
 """Pixels to either side between which the fringes' periods in both images are compared."""
 _ALIKE = 0.15
@@ -76,6 +79,28 @@ def contrast_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult, axis
     return float(np.clip(np.median(others / np.maximum(ours, 1e-3)), 1 / _LARGEST, _LARGEST))
 
 
+def brightness_of_images(left: PhaseMap, right: PhaseMap) -> float:
+    """Median mean of the right image's lit pixels relative to the left one's; 1 where it hardly differs."""
+    ours, others = (each.mean[::2, ::2][each.valid[::2, ::2]] for each in (left, right))
+    if min(len(ours), len(others)) < _LEAST_POINTS:
+        return 1.0
+    return _brighter(float(np.median(others) / max(float(np.median(ours)), 1.0)), CERTAINLY_BRIGHTER)
+
+
+def brightness_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult) -> float:
+    """Median ratio of the means at matched points, right over left; 1 where it hardly differs."""
+    rows, columns, v, u = _points(match, match.valid != 0)
+    ours, others = left.mean[rows, columns], right.mean[v, u]
+    some = (np.minimum(ours, others) > _DARK) & (np.maximum(ours, others) < _BRIGHT)
+    if np.count_nonzero(some) < _LEAST_POINTS:
+        return 1.0
+    return _brighter(float(np.median(others[some] / ours[some].astype(np.float64))), BRIGHTER)
+
+
+def _brighter(ratio: float, least: float) -> float:
+    return float(np.clip(ratio, 1 / _LARGEST, _LARGEST)) if abs(np.log(max(ratio, 1e-3))) >= np.log1p(least) else 1.0
+
+
 def with_gains(color: ColorModel, gains: F64) -> ColorModel:
     """The colour model of a camera whose channels have further gains (3,)."""
     crosstalk = color.crosstalk * gains[:, None] / gains[None, :]
@@ -84,8 +109,13 @@ def with_gains(color: ColorModel, gains: F64) -> ColorModel:
 
 def warnings_of(response: F64) -> tuple[str, ...]:
     """What a user should correct at the cameras, a sentence each."""
-    gains, contrast = response[:3], float(response[3])
+    gains, contrast, brightness = response[:3], float(response[3]), float(response[4])
     warnings = []
+    if brightness != 1 and abs(np.log(brightness)) > np.log1p(CERTAINLY_BRIGHTER):
+        warnings.append(
+            f"the right camera's images are {brightness:.2f} times as bright as the left one's; set exposure time, "
+            "gain and aperture of both alike"
+        )
     if np.abs(gains - 1).max() > _NOTICEABLE:
         ratios = ", ".join(f"{name} {gain:.2f}" for name, gain in zip(("red", "green", "blue"), gains, strict=True))
         warnings.append(

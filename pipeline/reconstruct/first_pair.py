@@ -25,7 +25,7 @@ from pipeline.rig.volume import Volume
 
 F64 = NDArray[np.float64]
 
-_RESPONSE_ROUNDS, _LEAST_POINTS = 3, 1000
+_RESPONSE_ROUNDS, _LEAST_POINTS, _BRIGHTNESS_STEP = 3, 1000, 0.03
 _STRIDE, _SCAN_STRIDE, _CURRENT_STRIDE = 8, 16, 32
 """Distance of the lattice rows whose costs are averaged, of the search, of the scan and of every later pair."""
 _HALF_STEP = 0.125
@@ -54,7 +54,7 @@ class Calibrating(Protocol):
         """The match of every left pixel, valid until the next call."""
 
     def set_response(self, response: NDArray[np.float64], /) -> None:
-        """Set gains and contrast (4,) of the right camera."""
+        """Set the response (5,) of the right camera."""
 
     def clear_prior(self) -> None:
         """Search the next pair in full."""
@@ -70,6 +70,9 @@ def calibrate(
     made: Calibrating, left: NDArray[Any], right: NDArray[Any], maps: tuple[PhaseMap, PhaseMap]
 ) -> tuple[PhaseMap, PhaseMap]:
     """Measure column correction and response from a pair of raw images; returns its phases after that."""
+    brightness = camera_response.brightness_of_images(*maps)
+    if brightness != 1:
+        maps = _with_response(made, np.append(made.response[:4], brightness), right, maps[0])
     match = calibrate_columns(made, *maps)
     color, other = made.decoders[0].color(left), made.decoders[1].color(right)
     gains = camera_response.gains_of_images(color, other, maps[0].valid, maps[1].valid)
@@ -77,15 +80,19 @@ def calibrate(
         maps = _with_gains(made, gains, right, maps[0])
         match = calibrate_columns(made, *maps)
     for _ in range(_RESPONSE_ROUNDS):
-        equal = (made.response == 1).all()
+        equal = (made.response[:3] == 1).all()
         least = camera_response.UNEQUAL if equal else camera_response.CORRECTED
         gains = camera_response.gains_of_points(color, made.decoders[1].color(right), match, least)
         if (gains == 1).all():
             break
         maps = _with_gains(made, gains, right, maps[0])
         match = made.match(*maps)
+    brightness = camera_response.brightness_of_points(*maps, match)
+    if abs(brightness / made.response[4] - 1) > _BRIGHTNESS_STEP:
+        maps = _with_response(made, np.append(made.response[:4], brightness), right, maps[0])
+        match = calibrate_columns(made, *maps)
     contrast = camera_response.contrast_of_points(*maps, match, made.left.first_axis)
-    made.set_response(np.append(made.response[:3], contrast))
+    made.set_response(np.array([*made.response[:3], contrast, made.response[4]]))
     made.clear_prior()
     return maps
 
@@ -190,5 +197,11 @@ def _with_gains(
     made: Calibrating, gains: NDArray[np.float64], right: NDArray[Any], left_map: PhaseMap
 ) -> tuple[PhaseMap, PhaseMap]:
     """Phases of a pair after the right camera's gains were multiplied."""
-    made.set_response(np.append(made.response[:3] * gains, made.response[3]))
+    return _with_response(made, np.append(made.response[:3] * gains, made.response[3:]), right, left_map)
+
+
+def _with_response(
+    made: Calibrating, response: F64, right: NDArray[Any], left_map: PhaseMap
+) -> tuple[PhaseMap, PhaseMap]:
+    made.set_response(response)
     return left_map, made.decoders[1].decode(right)

@@ -113,7 +113,10 @@ class Reconstructor:
         """The right camera's decoder, for its measured response."""
         color = camera_response.with_gains(self.calibration.right_color, self.response[:3])
         rig = replace(self.calibration, right_color=color).swapped()
-        return self._make_decoder(rig, slopes=self.right.slopes, depth_mm=self._right_middle)
+        brightness = float(self.response[4])
+        return self._make_decoder(
+            rig, slopes=self.right.slopes, depth_mm=self._right_middle, brightness=brightness
+        )  # fmt: skip
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -122,7 +125,7 @@ class Reconstructor:
         return first + width_warnings(self.calibration, self.pattern, mosaic=self._mosaic)
 
     def state(self) -> CorrectionState:
-        """What the first pair sets: column correction and response, 7 numbers, and whether they were measured."""
+        """What the first pair sets: column correction and response, 8 numbers, and whether they were measured."""
         return np.concatenate([self.correction, self.response]), self.calibrated
 
     def restore(self, kept: CorrectionState) -> None:
@@ -133,8 +136,8 @@ class Reconstructor:
         self.clear_prior()
 
     def set_response(self, response: NDArray[np.float64]) -> None:
-        """Set gains and contrast (4,) of the right camera, see :mod:`.camera_response`."""
-        changed = not np.array_equal(response[:3], self.response[:3])
+        """Set the response (5,) of the right camera, see :mod:`.camera_response`."""
+        changed = not np.array_equal(response[[0, 1, 2, 4]], self.response[[0, 1, 2, 4]])
         self.response = response
         if changed:
             self.decoders[1] = self._right_decoder()
@@ -221,6 +224,12 @@ class Reconstructor:
     def current_cost(self) -> float | None:
         """Cost of the last pair's orders, see :func:`.consistency.relative_cost`; None without a scan or fringes."""
         return None if self.scan is None else first_pair.current_cost(self, *self._maps, self.scan)
+
+    def brightness_has_changed(self) -> bool:
+        """Whether the right camera's brightness, relative to the left one's, is not that of the first pair any more."""
+        now = camera_response.brightness_of_points(*self._maps, self.match(*self._maps))
+        self.clear_prior()
+        return abs(now / float(self.response[4]) - 1) > camera_response.BRIGHTER
 
     def match(self, left: PhaseMap, right: PhaseMap) -> MatchResult:
         """The match of every left pixel by the search of an uncalibrated pair; valid until the next call."""

@@ -39,8 +39,8 @@ class CheckedReconstructor:
     """Reconstructs like :class:`Reconstructor` and judges every pair; not for use from two threads at once.
 
     A refutation counts for the next pairs too. While pairs are refuted, every eighth, and the next one where the
-    columns have moved, is measured like a first pair: a projector's drift, or a first pair that showed nothing useful,
-    is corrected so.
+    columns have moved or one camera's brightness has changed, is measured like a first pair: a projector's drift,
+    another exposure time, or a first pair that showed nothing useful, is corrected so.
 
     Args:
         reconstructor: makes the clouds.
@@ -58,7 +58,7 @@ class CheckedReconstructor:
         self._since_scan, self._scans = 0, float(_MOST_SCANS)
         self._refutation: Consistency | None = None
         self._since_refutation = self._withheld = 0
-        self._was_right = False
+        self._was_right = self._brightness_has_changed = False
 
     @property
     def mode(self) -> str:
@@ -108,6 +108,7 @@ class CheckedReconstructor:
         before = FirstPair.of(self.inner)
         if again := self._is_due() and before.measured and self.inner.settings.self_calibrate:
             self.inner.restore(self._unmeasured)
+            self._brightness_has_changed = False
         try:
             cloud = make()
         except PipelineError:
@@ -133,6 +134,7 @@ class CheckedReconstructor:
         elif self._scan_is_due(found):
             self._since_scan, self._scans = 0, self._scans - 1
             self._scanned = inner.scan = inner.scan_columns() or inner.scan
+            self._brightness_has_changed = inner.brightness_has_changed()
             found = self._check.check(left, right, cloud, inner.scan)
         return found
 
@@ -147,7 +149,9 @@ class CheckedReconstructor:
         return self._scans >= 1 and self.cost_has_changed()
 
     def _is_due(self) -> bool:
-        """Whether the next pair is measured like a first one: at once where the columns have moved."""
+        """Whether the next pair is measured like a first one: at once after a change of columns or brightness."""
+        if self._brightness_has_changed:
+            return True
         moved = self._refutation is not None and "scanned_change" in self._refutation.readings
         return self._withheld > 0 and (self._withheld % _PAIRS == 0 or (moved and self._withheld == 1))
 

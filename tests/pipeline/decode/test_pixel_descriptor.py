@@ -89,3 +89,14 @@ def test_a_decoder_writes_every_pixel_of_them(encoding):
     assert np.abs(wrapped(phase * UNIT - found.phase.ravel())).max() <= PHASE_ERROR
     assert np.array_equal(mean, found.mean.ravel()) and np.array_equal(valid, found.valid.ravel())
     assert 0.2 < valid.mean() < 1
+
+
+@pytest.mark.parametrize("divisor", [0.4, 1.0, 1.6])
+def test_dividing_the_means_changes_nothing_else(divisor):
+    rng = np.random.default_rng(5)
+    plane = rng.integers(-(2**31), 2**31, (7, 300), dtype=np.int64).astype(np.int32)
+    plane[0, :256] = np.arange(256)
+    before = plane.copy()
+    pixel_descriptor.divide_means(plane, divisor)
+    np.testing.assert_array_equal(plane & ~255, before & ~255)
+    np.testing.assert_array_equal(plane & 255, np.minimum(np.rint((before & 255) / divisor), 255))

@@ -99,6 +99,20 @@ def test_a_projector_that_drifts_slowly_is_followed():
     assert made.reconstruct(*moved).consistency.readings["column_offset"].value == pytest.approx(0.0102, abs=0.001)
 
 
+@pytest.mark.parametrize("before", [1.0, 0.5])
+def test_a_camera_of_another_brightness_is_followed(before: float):
+    """A right image of half the counts: without the correction a pair with all its points is refuted."""
+    good = images()
+    half = good[0], (good[1] // 2).astype(np.uint8)
+    first, then = (good, half) if before == 1 else (half, good)
+    made = fresh()
+    assert made.reconstruct(*first).points > 100_000
+    assert float(made.inner.response[4]) == pytest.approx(before, rel=0.1)
+    last = [made.reconstruct(*then) for _ in range(4)][-1]
+    assert last.consistency.verdict == "consistent" and last.points > 100_000
+    assert float(made.inner.response[4]) == pytest.approx(1.5 - before, rel=0.1)
+
+
 def test_a_first_pair_that_shows_nothing_useful_is_replaced():
     made, good = fresh(), images()
     assert made.reconstruct(good[0], good[0]).points == 0
@@ -113,7 +127,7 @@ def test_an_image_of_another_size_costs_no_state():
     before = made.inner.state()
     for _ in range(PAIRS - 1):
         made.reconstruct(*good)
-    with pytest.raises(ImageError, match="expected"):  # of a pair that is measured like a first one
+    with pytest.raises(ImageError, match="left image is"):  # of a pair that is measured like a first one
         made.reconstruct(good[0][:-1], good[1])
     assert made.inner.state()[1] is before[1] is True
     last = [made.reconstruct(*good) for _ in range(PAIRS + 2)][-1]
@@ -144,6 +158,9 @@ class Answers:
 
     def state(self) -> None:
         """None is needed here."""
+
+    def brightness_has_changed(self) -> bool:
+        return False
 
     def current_cost(self) -> float:
         return self.cost

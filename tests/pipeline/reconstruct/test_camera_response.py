@@ -34,8 +34,9 @@ def _measured(left, right, truth, **options):
 
 def test_equal_cameras_are_left_as_they_are() -> None:
     made, _, _ = _measured(*_pair("mixed"))
-    np.testing.assert_array_equal(made.response[:3], 1)
+    np.testing.assert_array_equal(made.response[[0, 1, 2, 4]], 1)
     assert made.response[3] == pytest.approx(1, abs=0.02)
+    assert made.warnings == ()
 
 
 def test_the_white_balance_of_one_camera_displaces_nothing() -> None:
@@ -48,6 +49,18 @@ def test_the_white_balance_of_one_camera_displaces_nothing() -> None:
     unchanged = SETTINGS.with_overrides({"self_calibrate": False})
     _, _, wrong = _measured(*_pair("mixed", lambda counts: counts * GAINS), settings=unchanged)
     assert wrong.rms_mm > 2 * equal.rms_mm
+
+
+@pytest.mark.parametrize("factor", [0.4, 0.6, 1.5])
+def test_a_camera_of_another_brightness_costs_few_points(factor: float) -> None:
+    _, _, equal = _measured(*_pair("mixed"))
+    made, _, found = _measured(*_pair("mixed", lambda counts: np.float32(factor) * counts))
+    assert made.response[4] == pytest.approx(factor, rel=0.05)
+    np.testing.assert_array_equal(made.response[:3], 1)
+    assert found.covered > equal.covered - 0.02
+    assert found.wrong < equal.wrong + 0.001
+    assert 0.8 < found.error_to_sigma < 1.3
+    assert f"{made.response[4]:.2f} times as bright" in " ".join(made.warnings)
 
 
 def test_a_blurred_camera_displaces_coloured_surfaces_less() -> None:
