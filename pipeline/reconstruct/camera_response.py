@@ -111,7 +111,7 @@ def warnings_of(response: F64) -> tuple[str, ...]:
     """What a user should correct at the cameras, a sentence each."""
     gains, contrast, brightness = response[:3], float(response[3]), float(response[4])
     warnings = []
-    if brightness != 1 and abs(np.log(brightness)) > np.log1p(CERTAINLY_BRIGHTER):
+    if abs(np.log(brightness)) > np.log1p(CERTAINLY_BRIGHTER):
         warnings.append(
             f"the right camera's images are {brightness:.2f} times as bright as the left one's; set exposure time, "
             "gain and aperture of both alike"

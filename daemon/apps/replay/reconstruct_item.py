@@ -15,7 +15,7 @@ from daemon.rig.camera_serials import serial_problem, serials_in, serials_of_tak
 from pipeline.common.errors import CalibrationError
 from pipeline.common.settings import Settings
 from pipeline.monitor.check.checked_reconstructor import Policy
-from pipeline.monitor.check.set_check import SetCheck
+from pipeline.monitor.check.set_check import options_for
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.order_check import order_warning
 from pipeline.pattern.sequence import FrameSequence
@@ -72,10 +72,7 @@ def warmed_reconstructor(
         return single
     from pipeline.multi_frame.set_reconstructor import SetReconstructor
 
-    check = None if policy == "off" else SetCheck
-    sets = SetReconstructor(
-        calibration, pattern, volume, filters=filters, check=check, withhold=policy == "withhold", **options
-    )
+    sets = SetReconstructor(calibration, pattern, volume, filters=filters, **options_for(policy), **options)
     sets.warm_up()
     return sets
 

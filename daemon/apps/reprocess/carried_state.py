@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from daemon.apps.replay.independent_verdicts import IndependentVerdicts
+from pipeline.monitor.check.checked_reconstructor import FirstPair
 from pipeline.multi_frame.set_reconstructor import SetReconstructor
 from pipeline.reconstruct.consistency import ColumnScan
 
@@ -81,10 +82,8 @@ def restore(reconstructor: IndependentVerdicts | SetReconstructor, state: Carrie
     """Bring a reconstructor into a state that :func:`capture` returned for one of the same kind."""
     pairs = [(np.array(values), measured) for values, measured in state.corrections]
     if isinstance(reconstructor, IndependentVerdicts):
-        inner = reconstructor.inner
-        inner.restore(pairs[0])
-        inner.scan = None if state.scan is None else ColumnScan(*state.scan)
-        inner.other_shifts, inner.gain = np.array(state.shifts), state.gain
+        scan = None if state.scan is None else ColumnScan(*state.scan)
+        FirstPair(pairs[0], scan, np.array(state.shifts), state.gain).restore(reconstructor.inner)
         return
     reconstructor.restore(pairs)
 

@@ -14,7 +14,7 @@ from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
 from pipeline.common.settings import Settings
 from pipeline.monitor.check.checked_reconstructor import CheckedReconstructor
-from pipeline.monitor.check.set_check import SetCheck
+from pipeline.monitor.check.set_check import options_for
 from pipeline.reconstruct.cloud_filters import cloud_filters
 from pipeline.reconstruct.reconstructor import Reconstructor
 
@@ -50,9 +50,7 @@ def make_reconstructor(
         clock=clock.monotonic_ns,
     )
     if plan is not None:
-        policy = config.pipeline.calibration_check
-        check = None if policy == "off" else SetCheck
-        return plan.reconstructor(rig, filters=filters, check=check, withhold=policy == "withhold", **options)
+        return plan.reconstructor(rig, filters=filters, **options_for(config.pipeline.calibration_check), **options)
     single = Reconstructor(rig.calibration, rig.pattern, rig.volume, **options)
     return CheckedReconstructor(single, config.pipeline.calibration_check, filters)
 

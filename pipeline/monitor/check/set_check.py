@@ -7,15 +7,23 @@ finding. Roll shows as a slope across the columns; a turn about the horizontal a
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.monitor import sensitivity
 from pipeline.monitor.check.cause import cause_of
+from pipeline.monitor.check.checked_reconstructor import Policy
 from pipeline.monitor.check.limits import judged
 from pipeline.reconstruct.consistency import Consistency, Reading
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
+
+
+def options_for(policy: Policy) -> dict[str, Any]:
+    """Options of a ``SetReconstructor`` whose sets are checked by this policy."""
+    return {"check": None if policy == "off" else SetCheck, "withhold": policy == "withhold"}
 
 
 class SetCheck:
