@@ -95,7 +95,13 @@ def test_flips_are_timed_by_the_vertical_blank(server: XServer, projector: Make)
         flips.append(flip)
     assert {flip.source for flip in flips} == {"vblank"}, "the server presents no OpenGL itself, but has a clock"
     assert all(b.msc > a.msc and b.t_monotonic_ns > a.t_monotonic_ns for a, b in pairwise(flips))
-    assert shown.measured_refresh_hz == pytest.approx(60, rel=0.05)  # of the dummy driver's own timer
+
+    def measures_60_hz() -> bool:
+        shown.show(x.noise(server, 1))
+        return shown.measured_refresh_hz == pytest.approx(60, rel=0.03)
+
+    # The dummy driver's clock is a timer that a busy machine delays: by 7 ms at the first flip, 6 % of 100 ms.
+    wait_until(measures_60_hz, what="the refresh rate is that of the vertical blanks")
 
 
 def test_a_sequence_goes_on_by_itself_and_its_last_image_stays(server: XServer, projector: Make) -> None:
