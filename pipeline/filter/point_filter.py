@@ -41,6 +41,8 @@ the median of the image it is at least, since the means of a projector with an i
 """
 _SMALLER_PARTS = 4
 """How many times smaller than the smallest surface a part of one is whose orders are judged."""
+_DISTINCT_TURNS = 0.2
+"""Turns of the projector's phase that a wrong order leaves, from which it is taken to show everywhere."""
 LARGE_SHARE = 0.01
 """Share of the image from which a surface's texture is not tested as a whole."""
 HIGH = 3 * DEVIATION_STEPS
@@ -180,10 +182,24 @@ def _steps(residual: float) -> int:
     return min(round(residual / RESIDUAL_STEP), LARGEST_RESIDUAL)
 
 
-def phase_weight(baselines: float, *, linear: bool) -> float:
-    """How far a wrong fringe order shows in the projector's phase, 0..1.
+def phase_weight(baselines: float, phases: NDArray[np.float32], *, linear: bool) -> float:
+    """How far a fringe order that is wrong by one shows in the projector's phase, 0..1.
 
-    On a plane an order wrong by m leaves 2 pi frac(m rho), rho the ratio of the baselines left to right and left to
-    projector: nothing where that is a whole number, unless the fringes are frequency-modulated.
+    On a plane, an order that moves the projector's column by d leaves the difference of the phases at the column itself
+    and at ``baselines`` d from it: of equal fringes ``frac(baselines)`` turns, nothing where that is a whole number; of
+    frequency-modulated ones, there, their second difference, which is zero at many columns. Their median counts.
+
+    Args:
+        baselines: ratio of the baselines left to right and left to projector.
+        phases: (n,) of the projector's columns, increasing; linear: the fringes are equal.
     """
-    return 1.0 if not linear else min(1.0, abs(baselines - round(baselines)) / 0.2)
+    if linear:
+        return min(1.0, abs(baselines - round(baselines)) / _DISTINCT_TURNS)
+    columns, phase = np.arange(len(phases), dtype=np.float64), np.asarray(phases, np.float64)
+    turns = []
+    for order in (-2 * np.pi, 2 * np.pi):
+        moved = columns + baselines * (np.interp(phase + order, phase, columns, np.nan, np.nan) - columns)
+        turns.append((np.interp(moved, columns, phase, np.nan, np.nan) - phase) / (2 * np.pi))
+    known = np.concatenate(turns)
+    known = known[np.isfinite(known)]
+    return min(1.0, float(np.median(np.abs(known - np.round(known)))) / _DISTINCT_TURNS) if len(known) else 0.0

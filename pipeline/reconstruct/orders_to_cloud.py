@@ -71,7 +71,7 @@ class CloudStage:
         self._gates = Gates(
             shape, calibration.right.size, calibration.projector.size,
             self._slopes, left.depth, left.order_step, settings, smallest=smallest,
-            phase_weight=phase_weight(baselines(calibration), linear=left.linear), stride=stride,
+            phase_weight=phase_weight(baselines(calibration), left.column_to_phase, linear=left.linear), stride=stride,
         )  # fmt: skip
         self._agreement, self._bends = Agreement.empty(shape), bends_of(shape)
         self._clusters = Clusters(shape, smallest, stride)

@@ -98,8 +98,8 @@ class Reconstructor:
         self.decoders = [left_decoder, self._right_decoder()]
         weights = weights_of(*self.settings.window(mosaic=self._mosaic))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
-        distinct = phase_weight(baselines(calibration), linear=self.left.linear)
-        # Fringes that repeat: orders must be unique in the right image.
+        distinct = phase_weight(baselines(calibration), self.left.column_to_phase, linear=self.left.linear)
+        # Fringes that repeat, or nearly so: orders must be unique in the right image.
         self._repeats = distinct < DISTINCT
         # Where they do, wrong orders may cost as little as right ones, and only the links decide.
         search = partial(OrderSearch, by_brightness=not self._repeats)

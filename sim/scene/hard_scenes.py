@@ -6,6 +6,7 @@ Stage coordinates as in :mod:`sim.scene.named_scenes`; the standard field is abo
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -205,6 +206,21 @@ def printed() -> Scene:
             _print(squares=_letters(6.0)).placed((90, 75, 0), turn=(0.2, 0.3, 0.0), albedo=0.9),
         ),
     )
+
+
+def balls() -> Scene:
+    """Many white balls of 10 to 26 mm at all depths before a white board: no texture, and steps of any height."""
+    rng = np.random.default_rng(2)
+    many = tuple(
+        sphere(rng.uniform(5, 13)).placed((rng.uniform(-190, 190), rng.uniform(-150, 150), rng.uniform(-90, 55)))
+        for _ in range(110)
+    )
+    return Scene("balls", (board(0.75), *many))
+
+
+def white(scene: Scene) -> Scene:
+    """The same shapes, all white, matt and without texture."""
+    return replace(scene, shapes=tuple(replace(shape, albedo=(0.8,) * 3, texture=Texture()) for shape in scene.shapes))
 
 
 def _print(*, discs: Sequence[Triple] = (), squares: Sequence[tuple[float, float, float, float]] = ()) -> Shape:

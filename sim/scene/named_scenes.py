@@ -147,5 +147,8 @@ _SCENES: dict[str, Callable[[], Scene]] = {
     "cast": hard_scenes.cast,
     "colors": hard_scenes.strong_colors,
     "printed": hard_scenes.printed,
+    "balls": hard_scenes.balls,
+    "white": lambda: hard_scenes.white(_mixed()),
+    "white-bars": lambda: hard_scenes.white(hard_scenes.bars()),
 }
 NAMES = (*_SCENES, "mesh")

@@ -14,6 +14,7 @@ from pipeline.filter.surfaces.component_test import LEAST_RATIO, component_test
 from pipeline.filter.surfaces.surface_evidence import Figures, log_likelihood_ratio, ratio_of_inside
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, Scale
 from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
+from pipeline.pattern.color_fringe import modulated_profile
 
 TEXTURED = Scale(0.0, 0.01, 0.0, 0.02, 0.3, 2.4)
 PLAIN = TEXTURED._replace(unrelated_loss=0.3)
@@ -52,8 +53,14 @@ def test_texture_counts_for_nothing_where_there_is_none() -> None:
 
 
 def test_the_phase_counts_for_nothing_where_the_layout_is_blind() -> None:
-    assert phase_weight(2.0, linear=True) == 0.0
-    assert phase_weight(2.0, linear=False) == phase_weight(1 / 0.382, linear=True) == 1.0
+    equal, modulated = (np.float32(2 * np.pi * np.arange(1280) / 13.3), np.float32(modulated_profile(1280, 96.0)))
+    assert phase_weight(2.0, equal, linear=True) == 0.0
+    assert phase_weight(2.0, equal, linear=False) == pytest.approx(0.0, abs=1e-3)
+    for ratio in (1 / 0.45, 1 / 0.382, 1 / 0.6):
+        assert phase_weight(ratio, equal, linear=True) == phase_weight(ratio, modulated, linear=False) == 1.0
+        assert phase_weight(ratio, equal, linear=False) == 1.0, "both formulas agree"
+    assert 0.2 < phase_weight(2.0, modulated, linear=False) < 0.5 < phase_weight(3.0, modulated, linear=False) < 1
+    assert phase_weight(5000.0, modulated, linear=False) == 0.0, "nothing is known of orders beyond the pattern"
     low, high = (_ratio(500.0, 0.3, rms, TEXTURED, 0.0) for rms in (0.01, 0.4))
     assert low == high
 
