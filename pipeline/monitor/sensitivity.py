@@ -26,10 +26,18 @@ def along_ray(calibration: Calibration, points: F64, first: int) -> tuple[F64, F
     return projector[:, first], calibration.right.project(further) - calibration.right.project(points)
 
 
-def in_the_middle(calibration: Calibration, distance_mm: float, first: int) -> float:
-    """Change of the projector's coordinate per mm of depth, on the ray in the middle of the left image."""
+def per_depth(calibration: Calibration, points: F64, first: int) -> tuple[F64, F64]:
+    """Change of the projector's coordinate per mm of depth, (n,), along left rays of points and along right ones."""
+    from_right = points - calibration.right.centre
+    further = points + from_right * (_STEP_MM / from_right[:, 2:3])
+    along_right = calibration.projector.project(further) - calibration.projector.project(points)
+    return along_ray(calibration, points, first)[0] / _STEP_MM, along_right[:, first] / _STEP_MM
+
+
+def in_the_middle(calibration: Calibration, distance_mm: float) -> F64:
+    """(1, 3) point in the middle of the left image."""
     ray = calibration.left.normalise((np.array([calibration.left.size]) - 1.0) / 2)[0]
-    return float(along_ray(calibration, np.array([[*ray, 1.0]]) * distance_mm, first)[0][0] / _STEP_MM)
+    return np.array([[*ray, 1.0]]) * distance_mm
 
 
 def displacement_response(calibration: Calibration, shape: F64, first: int) -> tuple[F64, F64]:

@@ -26,7 +26,7 @@ from pipeline.rig.volume import Volume
 F64 = NDArray[np.float64]
 
 _RESPONSE_ROUNDS, _LEAST_POINTS, _BRIGHTNESS_STEP = 3, 1000, 0.03
-_STRIDE, _SCAN_STRIDE, _CURRENT_STRIDE = 8, 16, 32
+_STRIDE, _SCAN_STRIDE, _ACROSS_STRIDE, _CURRENT_STRIDE = 8, 16, 4, 32
 """Distance of the lattice rows whose costs are averaged, of the search, of the scan and of every later pair."""
 _HALF_STEP = 0.125
 """Columns from an offset of the search to one between it and the next: costs fall to those of noise within 0.1 only."""
@@ -111,7 +111,7 @@ def scan_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> ColumnSc
     allowed = np.array([offsets[means.argmin()], 0.0, 0.0])
     across = {
         pixels: mean_of(
-            search.least_costs(left, right.displaced(pixels, made.left.first_axis), allowed, stride=_SCAN_STRIDE)
+            search.least_costs(left, right.displaced(pixels, made.left.first_axis), allowed, stride=_ACROSS_STRIDE)
         )
         for pixels in (0, *(sign * each for each in _DISPLACEMENTS_PX for sign in (1, -1)))
     }

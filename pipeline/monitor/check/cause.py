@@ -14,13 +14,13 @@ def cause_of(readings: dict[str, Reading], calibration: Calibration) -> str:
     """Device, axis and angle that explain the largest reading; two devices where they cannot be separated."""
     beyond = {name: abs(reading.value) for name, reading in readings.items() if excess(name, reading) > 0}
     scanned = [name for name in ("scanned_offset", "scanned_change") if name in beyond]
-    if scanned or beyond.keys() & {"column_offset", "scanned_drift", "depth_offset"}:
+    if scanned or beyond.keys() & {"column_offset", "scanned_drift", "depth_offset", "depth_offset_left"}:
         measured = "column_offset" if "column_offset" in readings else "scanned_drift"
         offset = abs(readings[(*scanned, measured)[0]].value)
-        of_camera = offset / baseline_share(calibration)
+        of_right, of_left = (offset / share for share in baseline_shares(calibration))
         return (
-            f"the right camera is turned about its vertical axis by {of_camera:.2f} degrees, "
-            f"or the projector by {offset:.2f} degrees: one pair does not separate them"
+            f"the right camera is turned about its vertical axis by {of_right:.2f} degrees, the left one by "
+            f"{of_left:.2f} degrees, or the projector by {offset:.2f} degrees: one pair does not separate them"
         )
     for name in ("scanned_epipolar", "epipolar"):
         if name in beyond:
@@ -41,8 +41,8 @@ def cause_of(readings: dict[str, Reading], calibration: Calibration) -> str:
     return "a device has moved" if beyond else ""
 
 
-def baseline_share(calibration: Calibration) -> float:
-    """Distance left camera to projector over the distance of the cameras."""
+def baseline_shares(calibration: Calibration) -> tuple[float, float]:
+    """Distances of the projector from the left and from the right camera over the distance of the cameras."""
     left, right = calibration.left.centre, calibration.right.centre
-    share = (calibration.projector.centre - left) @ (right - left) / ((right - left) @ (right - left))
-    return max(abs(float(share)), LEAST_SHARE)
+    share = float((calibration.projector.centre - left) @ (right - left) / ((right - left) @ (right - left)))
+    return max(abs(share), LEAST_SHARE), max(abs(1 - share), LEAST_SHARE)

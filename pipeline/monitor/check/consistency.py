@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
 from pipeline.monitor import sensitivity, texture_disparity
-from pipeline.monitor.check.cause import LEAST_SHARE, baseline_share, cause_of
-from pipeline.monitor.check.limits import LIMITS, SIGMAS, judged
+from pipeline.monitor.check.cause import LEAST_SHARE, baseline_shares, cause_of
+from pipeline.monitor.check.limits import LIMITS, SIGMAS, combined, depth_offsets, judged
 from pipeline.monitor.observe import Observer, Patches
 from pipeline.monitor.robust import fit, scale_of
 from pipeline.pattern.color_fringe import ColorFringe
@@ -34,6 +34,9 @@ _CLEARLY_LESS = 0.85
 _AGREEMENT_GAIN = 0.005
 """Gain of :class:`pipeline.reconstruct.consistency.ColumnScan` from which some pixels agree up to noise. Where patches
 agree as well, a high cost of all pixels is that of surfaces out of reach or of an unknown response, no refutation."""
+_MOVED_GAIN = 0.03
+"""The same below which the columns may have moved: some pixels of a scene agree at any offset. Intact rigs whose cost
+is clearly less elsewhere have 0.07 and more."""
 _LEAST_CHANGE_PX = 0.2
 """Columns from the correction in use to the offset that costs clearly less, one of steps of a quarter of a column."""
 
@@ -71,6 +74,7 @@ class ConsistencyCheck:
         readings = self.readings(self._observer.patches(left, right, cloud))
         if scan is not None:
             readings |= self._scanned(scan, readings) | ({} if "column_offset" in readings else self._drift(scan))
+        readings["combined"] = combined(readings)
         return judged(readings, cause_of(readings, self.calibration))
 
     def readings(self, patches: Patches) -> dict[str, Reading]:
@@ -87,8 +91,7 @@ class ConsistencyCheck:
             name: Reading(float(value[k]) * self._projector_deg, float(sigma[k]) * self._projector_deg)
             for k, name in enumerate(("column_offset", "column_x", "column_y"))
         }
-        per_mm = float(np.median(sensitivity.along_ray(self.calibration, patches.shape[:, :3], self._first)[0]))
-        out["depth_offset"] = Reading(-float(value[0]) / per_mm, float(sigma[0]) / abs(per_mm))
+        out |= self._depth_offsets(Reading(float(value[0]), float(sigma[0])), patches.shape[:, :3])
         scatter = scale_of(residual - design @ value) * self._phase
         out["column_scatter"] = Reading(scatter, scatter / float(np.sqrt(2 * len(patches))))
         across = [(value[3], float(np.hypot(sigma[3], _PHASE_BIAS / self._phase / _independent(design, 3))))]
@@ -117,7 +120,7 @@ class ConsistencyCheck:
         across, along = readings.get("epipolar_x"), readings["column_y"]
         if across is None:
             return {}
-        out, share = {}, baseline_share(self.calibration)
+        out, share = {}, baseline_shares(self.calibration)[0]
         for name, camera, part, sign in (
             ("right_roll", self.calibration.right, share, 1.0),
             ("left_roll", self.calibration.left, 1.0 - share, -1.0),
@@ -142,7 +145,7 @@ class ConsistencyCheck:
             out["scanned_offset"] = Reading(scan.offset_px * self._projector_deg, 0.0)
         change = scan.allowed_px - scan.used_px
         moved = abs(change) > _LEAST_CHANGE_PX and scan.allowed_cost < _CLEARLY_LESS * scan.used_cost
-        if moved and scan.gain < _AGREEMENT_GAIN:
+        if moved and scan.gain < _MOVED_GAIN:
             out["scanned_change"] = Reading(change * self._projector_deg, 0.0)
         if scan.across_px:
             out["scanned_epipolar"] = Reading(scan.across_px * self._camera_deg, 0.0)
@@ -150,11 +153,13 @@ class ConsistencyCheck:
 
     def _drift(self, scan: ColumnScan) -> dict[str, Reading]:
         """Column offset of a scene whose surface gives too few patches, on which the column correction relies."""
-        per_mm = sensitivity.in_the_middle(self.calibration, self._middle_mm, self._first)
-        return {
-            "scanned_drift": Reading(scan.allowed_px * self._projector_deg, 0.0),
-            "depth_offset": Reading(-scan.allowed_px / per_mm, 0.0),
-        }
+        point = sensitivity.in_the_middle(self.calibration, self._middle_mm)
+        drift = Reading(scan.allowed_px * self._projector_deg, 0.0)
+        return {"scanned_drift": drift} | self._depth_offsets(Reading(scan.allowed_px, 0.0), point)
+
+    def _depth_offsets(self, offset: Reading, points: NDArray[np.float64]) -> dict[str, Reading]:
+        left, right = sensitivity.per_depth(self.calibration, points, self._first)
+        return depth_offsets(offset, (float(np.median(left)), float(np.median(right))))
 
 
 _SURFACE_PX = 0.02  # what slopes and textures alone make of the epipolar displacement

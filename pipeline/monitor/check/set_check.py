@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pipeline.monitor import sensitivity
 from pipeline.monitor.check.cause import cause_of
 from pipeline.monitor.check.checked_reconstructor import Policy
-from pipeline.monitor.check.limits import judged
+from pipeline.monitor.check.limits import depth_offsets, judged
 from pipeline.reconstruct.consistency import Consistency, Reading
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
@@ -40,7 +40,9 @@ class SetCheck:
         size = np.array([device.size[first], device.size[1 - first]]) - 1.0
         self._middle, self._half = np.array([1.0, *(size / 2)]), size / 2
         self._degrees = float(np.degrees(1 / device.matrix[first, first]))
-        self._per_mm = sensitivity.in_the_middle(calibration, (volume.near_mm + volume.far_mm) / 2, first)
+        point = sensitivity.in_the_middle(calibration, (volume.near_mm + volume.far_mm) / 2)
+        left, right = sensitivity.per_depth(calibration, point, first)
+        self._per_mm = float(left[0]), float(right[0])
 
     def __call__(self, correction: NDArray[np.float64], measured: bool) -> Consistency:
         """The verdict on a correction (3,): offset, slope along, slope across; unknown where it was not measured."""
@@ -52,7 +54,7 @@ class SetCheck:
         horizontal, vertical = slopes if self._first == 0 else slopes[::-1]
         readings = {
             "column_offset": Reading(offset * self._degrees, 0.0),
-            "depth_offset": Reading(-offset / self._per_mm, 0.0),
+            **depth_offsets(Reading(offset, 0.0), self._per_mm),
             "column_x": Reading(horizontal, 0.0),
             "column_y": Reading(vertical, 0.0),
         }

@@ -14,12 +14,14 @@ from benchmarks.reconstruction.cases import HARD, scaled
 from pipeline.monitor import observe
 from pipeline.monitor.check.checked_reconstructor import CheckedReconstructor
 from pipeline.monitor.check.consistency import LIMITS, judged, together
+from pipeline.monitor.check.limits import combined
 from pipeline.monitor.observe import Observer
 from pipeline.reconstruct.consistency import NOISE_COST, ColumnScan, Reading
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
 from sim.render.render_pair import RenderedPair, render_counts, with_noise
+from sim.rig.disturbance import Disturbance, TrueRig
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
@@ -45,6 +47,13 @@ def turned(calibration: Calibration, side: str, axis: tuple[float, float, float]
     turn = rotation_about(tuple(np.sign(degrees) * np.array(axis)), np.radians(abs(degrees)))
     rotation = turn @ device.rotation
     return replace(calibration, **{side: replace(device, rotation=rotation, translation=-rotation @ device.centre)})
+
+
+def images_of_turned_left(layout: RigLayout, scene: str, degrees: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of a rig whose left camera has turned about its vertical axis: the calibration's axes are the left camera's."""
+    rig = TrueRig.of(layout, STANDARD).after(Disturbance("left", turn_deg=(0.0, degrees, 0.0)))
+    counts = render_counts(layout, build(scene), layout.pattern(), STANDARD, rig=rig)
+    return with_noise(counts, STANDARD, 5, "rgb8")
 
 
 def reconstructor(calibration: Calibration | None = None, policy: str = "withhold", **options) -> CheckedReconstructor:
@@ -125,6 +134,45 @@ def test_the_depth_offset_is_the_error_of_the_cloud_if_the_right_camera_has_turn
     error = float(np.nanmedian(cloud.xyz[..., 2] - images.truth_left.xyz[..., 2]))
     assert cloud.consistency.readings["depth_offset"].value == pytest.approx(error, rel=0.05)
     assert cloud.consistency.verdict == "doubtful"
+
+
+@pytest.mark.parametrize("degrees", [0.02, -0.03])
+def test_so_is_another_one_if_the_left_camera_has_turned(degrees: float):
+    cloud = reconstructor(policy="warn").reconstruct(*images_of_turned_left(LAYOUT, "mixed", degrees))
+    error = float(np.nanmedian(cloud.xyz[..., 2] - pair("mixed").truth_left.xyz[..., 2]))
+    assert abs(error) > 1.0
+    assert cloud.consistency.readings["depth_offset_left"].value == pytest.approx(error, rel=0.1)
+
+
+def test_a_projector_near_the_right_camera_shows_a_turn_of_the_left_one_as_a_small_offset_which_is_withheld():
+    layout = RigLayout(projector_fraction=0.85, baseline_mm=350.0).scaled(0.5)
+    for degrees, verdict in ((0.0, "consistent"), (0.1, "inconsistent")):
+        checked = CheckedReconstructor(
+            Reconstructor(layout.calibration_for(STANDARD), layout.pattern(), layout.volume()), "withhold"
+        )
+        found = checked.reconstruct(*images_of_turned_left(layout, "mixed", degrees)).consistency
+        assert found.verdict == verdict, found
+        assert abs(found.readings["column_offset"].value) < LIMITS["column_offset"][0][1]
+    assert re.search(r"the left one by 0\.(09|10|11) degrees", found.cause), found.cause
+
+
+def test_readings_that_are_all_close_to_their_limits_are_refuted_together():
+    names = ("column_offset", "column_x", "column_scatter", "epipolar", "order_cost")
+
+    def at(share: float) -> dict[str, Reading]:
+        return {name: Reading(share * LIMITS[name][0][1], 0.0) for name in names}
+
+    for readings, verdict in ((at(0.4), "consistent"), (at(0.47), "doubtful"), (at(0.6), "inconsistent")):
+        assert judged(readings | {"combined": combined(readings)}).verdict == verdict
+    for name in names:
+        alone = {"column_offset": Reading(0.0, 0.0)} | {name: at(0.99)[name]}
+        assert judged(alone | {"combined": combined(alone)}).verdict != "inconsistent"
+    uncertain = {name: Reading(one.value, one.value / 3) for name, one in at(1.5).items()}
+    assert combined(uncertain).value == pytest.approx(0.0)
+    both = at(0.5) | {"depth_offset": Reading(0.4 * LIMITS["depth_offset"][0][1], 0.0)}
+    assert combined(both).value == pytest.approx(combined(at(0.5)).value), (
+        "of readings of one quantity the largest counts"
+    )
 
 
 def test_a_projector_near_the_left_camera_shows_a_turn_as_a_small_offset_which_is_withheld():
@@ -308,7 +356,7 @@ def test_a_high_cost_refutes_nothing_where_patches_and_some_pixels_agree(
 
 @pytest.mark.parametrize(
     ("used_px", "agreeing", "verdict"),
-    [(0.0, 0, "inconsistent"), (1.9, 0, "consistent"), (0.0, 40, "consistent")],
+    [(0.0, 0, "inconsistent"), (1.9, 0, "consistent"), (0.0, 60, "consistent")],
     ids=["moved", "the offset in use", "some pixels agree up to noise at the offset in use"],
 )
 def test_columns_that_fit_clearly_better_at_another_offset_are_refuted(used_px: float, agreeing: int, verdict: str):
