@@ -115,7 +115,9 @@ def answers(case: Case) -> Iterator[tuple[str, Answer, Answer | None]]:
     """Every disturbance by name, with what it gives as a first pair and, where that can happen, while the rig runs."""
     intact = images_of(case)
     yield INTACT, answer(case, intact), running(case, intact, intact)
-    devices: tuple[tuple[Device, str], ...] = (("right", "right camera"), ("projector", "projector"))
+    devices: tuple[tuple[Device, str], ...] = (
+        ("right", "right camera"), ("left", "left camera"), ("projector", "projector"),
+    )  # fmt: skip
     for device, name in devices:
         for k, axis in enumerate(AXES):
             for angle in ANGLES_DEG:
@@ -124,7 +126,7 @@ def answers(case: Case) -> Iterator[tuple[str, Answer, Answer | None]]:
     for name, images in (("cameras exchanged", intact[::-1]), ("left image as both", (intact[0], intact[0]))):
         yield name, answer(case, images), running(case, intact, images)
     calibration = case.layout.calibration_for(case.optics)
-    for device, name in (*devices, ("left", "left camera")):
+    for device, name in devices:
         matrix = getattr(calibration, device).matrix.copy()
         matrix[[0, 1], [0, 1]] *= 1.005
         changed = replace(calibration, **{device: replace(getattr(calibration, device), matrix=matrix)})
