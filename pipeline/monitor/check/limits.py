@@ -36,7 +36,7 @@ _INDEPENDENT = (
 )  # fmt: skip
 """Readings of which the largest of each row is combined with those of the others."""
 _LEAST_RATIO = 0.05
-"""Change of the projector's coordinate along one camera's rays over that along the other's, from which depths follow."""
+"""Change of the projector's coordinate along one camera's rays over the other's, from which depths are computed."""
 
 
 def judged(readings: dict[str, Reading], cause: str = "") -> Consistency:
