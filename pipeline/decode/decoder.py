@@ -27,7 +27,7 @@ from pipeline.decode.kernels.local_mean import BoxMean
 from pipeline.decode.kernels.mosaic_fit import EIGHTHS
 from pipeline.decode.kernels.window_fit import weights_of
 from pipeline.decode.noise_model import NoiseModel, estimate
-from pipeline.decode.pixel_descriptor import divide_means, normalised_phase
+from pipeline.decode.pixel_descriptor import correct_descriptors, correction_tables, normalised_phase
 from pipeline.decode.raw_image import read_only
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration, ColorModel
@@ -127,6 +127,8 @@ class Decoder:
         self._weights[: self._radius + 1] = weights_of(self._radius, sigma)[self._radius, self._radius :]
         self._planes: dict[str, NDArray[Any]] = {}
         self._brightness = brightness
+        self._tables: tuple[NDArray[np.int32], NDArray[np.int32]] | None
+        self.correct(np.zeros(6))
 
     @staticmethod
     def of_left(
@@ -144,6 +146,10 @@ class Decoder:
             color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings, chromatic=chromatic,
             brightness=brightness,
         )  # fmt: skip
+
+    def correct(self, error: NDArray[np.float64]) -> None:
+        """Subtract a periodic error (6,) from normalised phases, see :func:`.pixel_descriptor.periodic`."""
+        self._tables = correction_tables(error, self._brightness) if error.any() or self._brightness != 1 else None
 
     def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
         """Phase of a raw image, (H, W, 3) three-chip or (H, W) mosaic; overwrites the last image's planes."""
@@ -166,8 +172,8 @@ class Decoder:
             decode_rgb(BANDS, image.reshape(height, 3 * width), *common)
         else:
             decode_bayer(BANDS, image, self._mosaic, self._rows, *common)
-        if self._brightness != 1:
-            divide_means(planes["descriptors"], self._brightness)
+        if self._tables is not None:
+            correct_descriptors(height, *self._tables, planes["descriptors"])
         return PhaseMap(
             planes["phasor"], planes["descriptors"], mean, planes["variance"],
             float(planes["saturated"].sum()) / (height * width), planes["phase"],

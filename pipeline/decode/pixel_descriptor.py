@@ -21,6 +21,7 @@ VALID = np.int32(256)
 RADIANS = np.float32(2 * pi / 2**32)
 """One unit of :func:`phase_units` and :func:`normalised_units`: 2^32 are a turn, so that differences wrap."""
 _PHASE, _NORMALISED, _MEAN = np.int32(-(2**20)), np.int32(-(2**21)), np.int32(255)
+_REST = np.int32(_PHASE | VALID)  # all but the normalised phase and the mean
 _TURN, _FINE = np.float32(2 * pi), np.float32(2**28 / (2 * pi))
 _PHASE_STEPS, _NORMALISED_STEPS = np.float32(2**12 / (2 * pi)), np.float32(2**11 / (2 * pi))
 
@@ -85,10 +86,31 @@ def descriptors_without_color(i: int, phase: Any, valid: Any, mean: Any, out: An
     complete_row(phase[i], valid[i], mean[i], out[i])
 
 
-def divide_means(descriptors: NDArray[np.int32], divisor: float) -> None:
-    """Divide the means of descriptors, in place; largest 255. Cameras of unequal brightness become comparable so."""
-    means = np.minimum(np.rint(np.arange(256) / divisor), 255).astype(np.int32)
-    descriptors[...] = (descriptors & ~_MEAN) | means[descriptors & _MEAN]
+@parallel
+def correct_descriptors(i: int, phases: Any, means: Any, descriptors: Any) -> None:
+    """Correct normalised phases and means of row i of descriptors (H, W) by the tables of :func:`correction_tables`."""
+    row = descriptors[i]
+    for j in range(row.shape[0]):
+        x = row[j]
+        phase = phases[np.int32(x >> np.int32(9)) & np.int32(0x7FF)]
+        row[j] = np.int32(np.int32(x & _REST) | np.int32(phase | means[x & _MEAN]))
+
+
+def correction_tables(error: NDArray[np.float64], brightness: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Bits of every normalised phase less its error (2048,) and of every mean divided by the brightness (256,).
+
+    Args:
+        error: (6,) radians, see :func:`periodic`; brightness: cameras of unequal brightness become comparable so.
+    """
+    phases = np.arange(2**11) / np.float64(_NORMALISED_STEPS)
+    steps = np.rint((phases - periodic(phases) @ error) * np.float64(_NORMALISED_STEPS)).astype(np.int64)
+    means = np.minimum(np.rint(np.arange(256) / brightness), 255)
+    return ((steps & 0x7FF) << 9).astype(np.int32), means.astype(np.int32)
+
+
+def periodic(phase: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 6) cosine and sine of one, two and three times the phases (n,): the coefficients of a periodic error."""
+    return np.stack([f(k * phase) for k in (1, 2, 3) for f in (np.cos, np.sin)], axis=-1)
 
 
 def normalised_phase(descriptors: NDArray[np.int32]) -> NDArray[np.float32]:

@@ -1,9 +1,11 @@
-"""Differences of both cameras' responses that the calibration does not know: white balance, sharpness, brightness.
+"""Faults of the responses that the calibration does not know: white balance, sharpness, brightness, periodic error.
 
 The phase error of a coloured surface cancels between the cameras where both see the same colours with the same fringe
 contrast. A white balance of one camera displaces every point instead, and a blur of one camera those of coloured
 surfaces. Where one camera's images are brighter, by aperture, gain or exposure time, right orders have different
-textures. All are measured once, at matched points of the first pair, where both cameras see the same surfaces.
+textures. A response of the projector or a crosstalk that differs from the calibrated one displaces both cameras' phases
+alike: no point moves, but the phases disagree with the projector's. All are measured once, at matched points of the
+first pair, where both cameras see the same surfaces.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.decode.decoder import PhaseMap
+from pipeline.decode.pixel_descriptor import normalised_phase, periodic
 from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP, MatchResult
 from pipeline.rig.calibration import ColorModel
 
@@ -21,8 +24,11 @@ F64 = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-EQUAL: F64 = np.ones(5)
-"""Both cameras respond alike: gains of R, G, B of the right camera relative to their mean, its contrast, brightness."""
+EQUAL: F64 = np.append(np.ones(5), np.zeros(6))
+"""Both cameras respond as calibrated: gains of R, G, B of the right camera relative to their mean, its contrast and its
+brightness, relative to the left one's; coefficients of the phase's error, see :func:`.pixel_descriptor.periodic`."""
+CONTRAST, BRIGHTNESS, ERROR = 3, 4, slice(5, 11)
+"""Numbers of the response that follow the gains."""
 CERTAINLY_UNEQUAL = 0.1
 """Relative difference from which whole images show a white balance: they do not see quite the same surfaces."""
 UNEQUAL, CORRECTED = 0.015, 0.003
@@ -36,6 +42,12 @@ _NOTICEABLE, _UNSHARP = 0.05, 0.12
 _DARK, _BRIGHT = 8, 225
 _LEAST_POINTS = 1000
 _LARGEST = 2.5
+_PERIODIC, _NOTICEABLY_PERIODIC, _MOST_PERIODIC = 0.02, 0.08, 0.7
+"""Periodic error, rms in radians, from which it is corrected and warned of; the largest slope that is corrected: with a
+slope of 1 phases would have no order any more."""
+_FIT_ROUNDS, _INLIERS = 4, 2.5
+_PHASE_PARTS, _LEAST_SHARE = 8, 0.02
+"""Parts of a period of which each needs this share of the points."""
 
 
 def gains_of_images(left: Image, right: Image, left_valid: Mask, right_valid: Mask) -> F64:
@@ -97,6 +109,39 @@ def brightness_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult) ->
     return _brighter(float(np.median(others[some] / ours[some].astype(np.float64))), BRIGHTER)
 
 
+def periodic_error(left: PhaseMap, match: MatchResult) -> F64:
+    """Coefficients (6,) of the normalised phase's error against the projector, zeros where it is small.
+
+    A residual that goes with the wrapped phase, in all orders alike, is one of the response: a wrong order, another
+    offset of the projector or a moved device leaves one that goes with the place.
+    """
+    rows, columns, _, _ = _points(match, match.valid != 0)
+    phase = normalised_phase(left.descriptors[rows, columns]).astype(np.float64)
+    residual = RESIDUAL_STEP * match.residual_normalised[rows, columns].astype(np.float64)
+    parts = np.bincount((phase % (2 * np.pi) * (_PHASE_PARTS / (2 * np.pi))).astype(int) % _PHASE_PARTS, minlength=8)
+    if len(phase) < _LEAST_POINTS or parts.min() < _LEAST_SHARE * len(phase):
+        return np.zeros(6)
+    terms = np.column_stack([periodic(phase), np.ones_like(phase)])
+    inliers = np.ones(len(phase), np.bool_)
+    for _ in range(_FIT_ROUNDS):
+        found = np.linalg.lstsq(terms[inliers], residual[inliers], rcond=None)[0]
+        error = np.abs(residual - terms @ found)
+        inliers = error < _INLIERS * 1.4826 * np.median(error) + 1e-6
+    coefficients: F64 = np.asarray(found[:6], dtype=np.float64)
+    fits = rms_of(coefficients) >= _PERIODIC and _sizes(coefficients) @ (1, 2, 3) <= _MOST_PERIODIC
+    return coefficients if fits else np.zeros(6)
+
+
+def rms_of(error: F64) -> float:
+    """Root mean square of a periodic error (6,), radians."""
+    return float(np.sqrt((_sizes(error) ** 2).sum() / 2))
+
+
+def _sizes(error: F64) -> F64:
+    """Amplitudes (3,) of the parts of a periodic error that go with one, two and three times the phase."""
+    return np.hypot(error[::2], error[1::2])
+
+
 def _brighter(ratio: float, least: float) -> float:
     return float(np.clip(ratio, 1 / _LARGEST, _LARGEST)) if abs(np.log(max(ratio, 1e-3))) >= np.log1p(least) else 1.0
 
@@ -109,7 +154,8 @@ def with_gains(color: ColorModel, gains: F64) -> ColorModel:
 
 def warnings_of(response: F64) -> tuple[str, ...]:
     """What a user should correct at the cameras, a sentence each."""
-    gains, contrast, brightness = response[:3], float(response[3]), float(response[4])
+    gains, contrast, brightness = response[:3], float(response[CONTRAST]), float(response[BRIGHTNESS])
+    error = rms_of(response[ERROR])
     warnings = []
     if abs(np.log(brightness)) > np.log1p(CERTAINLY_BRIGHTER):
         warnings.append(
@@ -127,6 +173,11 @@ def warnings_of(response: F64) -> tuple[str, ...]:
         warnings.append(
             f"the {side} camera sees the fringes with {100 * (1 - min(contrast, 1 / contrast)):.0f} % less contrast "
             "than the other one; focus its lens"
+        )
+    if error > _NOTICEABLY_PERIODIC:
+        warnings.append(
+            f"the phases have a periodic error of {error:.2f} rad, which is corrected from the images; calibrate the "
+            "colours and the projector's response (fringed calibrate color)"
         )
     return tuple(warnings)
 

@@ -54,7 +54,7 @@ class Calibrating(Protocol):
         """The match of every left pixel, valid until the next call."""
 
     def set_response(self, response: NDArray[np.float64], /) -> None:
-        """Set the response (5,) of the right camera."""
+        """Set the response (11,), see :mod:`.camera_response`."""
 
     def clear_prior(self) -> None:
         """Search the next pair in full."""
@@ -72,12 +72,12 @@ def calibrate(
     """Measure column correction and response from a pair of raw images; returns its phases after that."""
     brightness = camera_response.brightness_of_images(*maps)
     if brightness != 1:
-        maps = _with_response(made, np.append(made.response[:4], brightness), right, maps[0])
+        maps = _with_response(made, camera_response.BRIGHTNESS, brightness, left, right)
     match = calibrate_columns(made, *maps)
     color, other = made.decoders[0].color(left), made.decoders[1].color(right)
     gains = camera_response.gains_of_images(color, other, maps[0].valid, maps[1].valid)
     if (gains != 1).any():
-        maps = _with_gains(made, gains, right, maps[0])
+        maps = _with_gains(made, gains, left, right)
         match = calibrate_columns(made, *maps)
     for _ in range(_RESPONSE_ROUNDS):
         equal = (made.response[:3] == 1).all()
@@ -85,14 +85,18 @@ def calibrate(
         gains = camera_response.gains_of_points(color, made.decoders[1].color(right), match, least)
         if (gains == 1).all():
             break
-        maps = _with_gains(made, gains, right, maps[0])
+        maps = _with_gains(made, gains, left, right)
         match = made.match(*maps)
+    error = camera_response.periodic_error(maps[0], match)
+    if error.any():
+        maps = _with_response(made, camera_response.ERROR, error, left, right)
+        match = calibrate_columns(made, *maps)
     brightness = camera_response.brightness_of_points(*maps, match)
-    if abs(brightness / made.response[4] - 1) > _BRIGHTNESS_STEP:
-        maps = _with_response(made, np.append(made.response[:4], brightness), right, maps[0])
+    if abs(brightness / made.response[camera_response.BRIGHTNESS] - 1) > _BRIGHTNESS_STEP:
+        maps = _with_response(made, camera_response.BRIGHTNESS, brightness, left, right)
         match = calibrate_columns(made, *maps)
     contrast = camera_response.contrast_of_points(*maps, match, made.left.first_axis)
-    made.set_response(np.array([*made.response[:3], contrast, made.response[4]]))
+    made.set_response(_changed(made.response, camera_response.CONTRAST, contrast))
     made.clear_prior()
     return maps
 
@@ -194,14 +198,21 @@ def _best_of_minima(made: Calibrating, left: PhaseMap, right: PhaseMap, offsets:
 
 
 def _with_gains(
-    made: Calibrating, gains: NDArray[np.float64], right: NDArray[Any], left_map: PhaseMap
+    made: Calibrating, gains: NDArray[np.float64], left: NDArray[Any], right: NDArray[Any]
 ) -> tuple[PhaseMap, PhaseMap]:
-    """Phases of a pair after the right camera's gains were multiplied."""
-    return _with_response(made, np.append(made.response[:3] * gains, made.response[3:]), right, left_map)
+    """Phases of a pair of raw images after the right camera's gains were multiplied."""
+    return _with_response(made, slice(3), made.response[:3] * gains, left, right)
 
 
 def _with_response(
-    made: Calibrating, response: F64, right: NDArray[Any], left_map: PhaseMap
+    made: Calibrating, part: int | slice, values: Any, left: NDArray[Any], right: NDArray[Any]
 ) -> tuple[PhaseMap, PhaseMap]:
-    made.set_response(response)
-    return left_map, made.decoders[1].decode(right)
+    """Phases of a pair of raw images after a part of the response was changed."""
+    made.set_response(_changed(made.response, part, values))
+    return made.decoders[0].decode(left), made.decoders[1].decode(right)
+
+
+def _changed(response: F64, part: int | slice, values: Any) -> F64:
+    response = response.copy()
+    response[part] = values
+    return response

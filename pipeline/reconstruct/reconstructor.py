@@ -113,10 +113,10 @@ class Reconstructor:
         """The right camera's decoder, for its measured response."""
         color = camera_response.with_gains(self.calibration.right_color, self.response[:3])
         rig = replace(self.calibration, right_color=color).swapped()
-        brightness = float(self.response[4])
-        return self._make_decoder(
-            rig, slopes=self.right.slopes, depth_mm=self._right_middle, brightness=brightness
-        )  # fmt: skip
+        brightness = float(self.response[camera_response.BRIGHTNESS])
+        made = self._make_decoder(rig, slopes=self.right.slopes, depth_mm=self._right_middle, brightness=brightness)
+        made.correct(self.response[camera_response.ERROR])
+        return made
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -125,7 +125,7 @@ class Reconstructor:
         return first + width_warnings(self.calibration, self.pattern, mosaic=self._mosaic)
 
     def state(self) -> CorrectionState:
-        """What the first pair sets: column correction and response, 8 numbers, and whether they were measured."""
+        """What the first pair sets: column correction and response, 14 numbers, and whether they were measured."""
         return np.concatenate([self.correction, self.response]), self.calibrated
 
     def restore(self, kept: CorrectionState) -> None:
@@ -136,13 +136,15 @@ class Reconstructor:
         self.clear_prior()
 
     def set_response(self, response: NDArray[np.float64]) -> None:
-        """Set the response (5,) of the right camera, see :mod:`.camera_response`."""
-        changed = not np.array_equal(response[[0, 1, 2, 4]], self.response[[0, 1, 2, 4]])
+        """Set the response (11,), see :mod:`.camera_response`."""
+        contrast = camera_response.CONTRAST
+        changed = not np.array_equal(np.delete(response, contrast), np.delete(self.response, contrast))
         self.response = response
         if changed:
+            self.decoders[0].correct(response[camera_response.ERROR])
             self.decoders[1] = self._right_decoder()
         for stage in self._stages.values():
-            stage.contrast = float(response[3])
+            stage.contrast = float(response[contrast])
 
     def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:
         """Compile (or load) every kernel by runs on empty images; leaves no trace in the results.
@@ -158,6 +160,9 @@ class Reconstructor:
         left = rng.integers(40, 200, (height, width, *deep), dtype=np.uint8)
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
         self.calibrated = True  # one search loads the kernels of the column correction's hundred
+        faulty = camera_response.EQUAL.copy()
+        faulty[camera_response.ERROR] = 1e-3
+        self.set_response(faulty)
         for stride in strides:
             cloud = self.reconstruct(left, right, stride=stride, use_prior=use_prior)
         self.searches[0].least_costs(*self._maps, self.correction, stride=8)
@@ -229,7 +234,7 @@ class Reconstructor:
         """Whether the right camera's brightness, relative to the left one's, is not that of the first pair any more."""
         now = camera_response.brightness_of_points(*self._maps, self.match(*self._maps))
         self.clear_prior()
-        return abs(now / float(self.response[4]) - 1) > camera_response.BRIGHTER
+        return abs(now / float(self.response[camera_response.BRIGHTNESS]) - 1) > camera_response.BRIGHTER
 
     def match(self, left: PhaseMap, right: PhaseMap) -> MatchResult:
         """The match of every left pixel by the search of an uncalibrated pair; valid until the next call."""
@@ -269,5 +274,5 @@ class Reconstructor:
                 stride=stride,
                 mosaic=self._mosaic,
             )
-            self._stages[stride].contrast = float(self.response[3])
+            self._stages[stride].contrast = float(self.response[camera_response.CONTRAST])
         return self._stages[stride]

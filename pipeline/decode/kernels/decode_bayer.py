@@ -26,6 +26,7 @@ from pipeline.decode.kernels.mosaic_fit import (
     EIGHTHS,
     MOSAIC_SLOTS,
     add_window_row,
+    equal_contrast,
     padded_row,
     rough_row,
     rough_units,
@@ -133,12 +134,12 @@ def decode_bayer(
     stride = row_stride(width + TILE + 2 * REACH)
     wide = row_stride(3 * width + 6 * along)
     low, high = band * height // BANDS, (band + 1) * height // BANDS
-    slab = np.zeros((8 * RING + 19, stride), np.float32)
-    levels, design = slab[0:3], slab[3:9]
+    slab = np.zeros((8 * RING + 22, stride), np.float32)
+    levels, design, equal = slab[0:3], slab[3:9], slab[8 * RING + 19 :, :width]
     re, im, w = slab[9, :width], slab[10, :width], slab[11, :width]
     balance, units, samples = slab[12:16], slab[16 : 16 + 2 * RING], slab[16 + 2 * RING : 16 + 4 * RING]
     plain, gains = slab[16 + 4 * RING : 16 + 5 * RING], slab[16 + 5 * RING : 19 + 5 * RING]
-    designs, own_design = slab[19 + 5 * RING :], np.zeros(RING, np.bool_)  # of rows with strong colours
+    designs, own_design = slab[19 + 5 * RING : 19 + 8 * RING], np.zeros(RING, np.bool_)  # of rows with strong colours
     boxes = np.zeros((2 + over, wide), np.uint16)
     once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
     shorts = np.zeros((10 + 2 * over, 2 * wide), np.uint16)
@@ -150,6 +151,7 @@ def decode_bayer(
     gains[:] = np.float32(1.0)
     blocks = (width + BLOCK - 1) // BLOCK
     flags, runs, n_runs = np.zeros(BLOCK * blocks + 16, np.uint8), np.zeros((blocks, 2), np.int32), 0
+    level = abs(nominal[3]) > abs(nominal[1])
     start = shared_row(max(low - REACH, 0))
     middle_row, entered = start - 1, start - over
     for y in range(max(low - REACH, 0), high + REACH):
@@ -171,7 +173,11 @@ def decode_bayer(
                 balance_of_row(means, scale, black, unmix, balance)
                 n_runs = gains_of_row(balance, colored_from, width, flags, runs, n_runs, gains)
             if low <= y < high:
-                normalised_row(levels, balance, unmix, ideal, re, im, w)
+                first, last = abs(y - 2), y + 2 if y + 2 < height else 2 * height - 4 - y
+                above = _first_guess(image, first if level else y, mosaic, halo, cache, cached_rows)
+                below = _first_guess(image, last if level else y, mosaic, halo, cache, cached_rows)
+                equal_contrast(levels, above, below, level, mosaic[y & 1, 0], mosaic[y & 1, 1], black, equal)
+                normalised_row(equal, balance, unmix, ideal, re, im, w)
                 if table_step > 0:
                     correct_means(chromatic, table_step, y, re, im, w)
                     correct_phasors(chromatic, table_step, y, re, im)

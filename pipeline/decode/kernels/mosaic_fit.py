@@ -59,6 +59,43 @@ def rough_row(above: Any, middle: Any, below: Any, even: int, odd: int, out: Any
 
 
 @linked
+def equal_contrast(levels: Any, above: Any, below: Any, level: bool, even: int, odd: int, black: Any, out: Any) -> None:
+    """Levels (3, W or more) of the first guess with the same contrast everywhere, as the normalised phase needs.
+
+    The mean of the samples on both sides of a pixel has less contrast by cos(step of the phase) than its own sample,
+    and the mean of both kinds, which green is, by half as much: the phase would have an error of twice its frequency
+    that changes its sign from pixel to pixel. So what is two pixels away is mixed in: 1 6 1 into a pixel's own sample,
+    1 14 1 into green. All then lose as much, up to the fourth power of the step.
+
+    Args:
+        above, below: (3 W,) uint16, first guess of the rows two above and below, which matter for level fringes only.
+        level: the phase grows from row to row; even, odd: colours at this row's columns; black: (3,) counts.
+    """
+    own = odd if even == 1 else even  # the colour in this row that is not green
+    other = 2 - own
+    green = 0 if even == 1 else 1  # parity of the columns with green
+    six, fourteen, eighth, sixteenth = np.float32(6), np.float32(14), np.float32(1 / 8), np.float32(1 / 16)
+    n = out.shape[1]
+    for j in range(n):
+        out[0, j], out[1, j], out[2, j] = levels[0, j], levels[1, j], levels[2, j]
+    if level:
+        unit = np.float32(1 / EIGHTHS)
+        for j in range(n):
+            far = np.float32(above[3 * j + own] + below[3 * j + own]) * unit - np.float32(2) * black[own]
+            far_green = np.float32(above[3 * j + 1] + below[3 * j + 1]) * unit - np.float32(2) * black[1]
+            out[own, j] = (six * out[own, j] + far) * eighth
+            out[1, j] = (fourteen * out[1, j] + far_green) * sixteenth
+        return
+    first, second, third = levels[own], levels[1], levels[other]
+    for j in range(2, n - 2):
+        is_green = (j & 1) == green
+        here, far = (third[j], third[j - 2] + third[j + 2]) if is_green else (first[j], first[j - 2] + first[j + 2])
+        mixed = (six * here + far) * eighth
+        out[own, j], out[other, j] = (first[j], mixed) if is_green else (mixed, third[j])
+        out[1, j] = (fourteen * second[j] + second[j - 2] + second[j + 2]) * sixteenth
+
+
+@linked
 def rough_units(levels: Any, solution: Any, re: Any, im: Any, mean: Any) -> None:
     """Unit phasors and mean (W,) of the first guess, levels (3, W or more) counts above black."""
     zero, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
