@@ -43,11 +43,14 @@ NOISE_COSTS = (0.003, 0.006, 0.012)
 """Mean costs that noise alone gives a pixel with its right order."""
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
 """Shares of such pixels that are tried."""
-_CLEAR_RATIO, _NEAR = 1.5, 0.3
-"""How many times the gain near the chosen offset that of one which replaces it must be, and what is near, columns."""
-_SAME, _FARTHER, _MOST_OTHERS = 0.1, 0.2, 2
+_REFINED = 6
+"""Minima of the mean cost about which finer offsets are tried."""
+_CLEAR_RATIO, _NEAR, _OWN = 1.5, 0.3, 0.13
+"""How many times the gain near the chosen offset that of one which replaces it must be; what is near, and what belongs
+to an offset alone, columns."""
+_SAME, _FARTHER, _MINIMUM_FARTHER, _MOST_OTHERS = 0.1, 0.2, 0.3, 2
 """Distance up to which offsets are alike, columns; how much farther from 0 another one may be, as projectors drift
-little; how many others are compared."""
+little, the second one where it is a minimum of its own and pixels agree up to noise; how many others are compared."""
 
 
 def offsets_to_try(largest: float, step: float = 0.25) -> F64:
@@ -58,6 +61,19 @@ def offsets_to_try(largest: float, step: float = 0.25) -> F64:
     n = int(np.floor(largest / step + 1e-9))
     steps = np.arange(-n, n + 1) * step
     return np.asarray(steps[np.argsort(np.abs(steps), kind="stable")], dtype=np.float64)
+
+
+def finer_offsets(offsets: F64, costs: F64, step: float) -> F64:
+    """Offsets (m,) a step to both sides of the least ones: the costs fall to those of noise in a twentieth of a column.
+
+    Args:
+        offsets: (n,) at which there is a mean cost, (n,); two steps apart.
+    """
+    along = np.argsort(offsets)
+    padded = np.concatenate([[np.inf], costs[along], [np.inf]])
+    least = along[(padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:])]
+    best = offsets[least[np.argsort(costs[least], kind="stable")][:_REFINED]]
+    return np.unique(np.concatenate([best - step, best + step]))
 
 
 def improbability(offsets: F64, with_margin: F64, inside: F64) -> F64:
@@ -109,14 +125,19 @@ class OffsetLikelihood(NamedTuple):
         along = np.argsort(self.offsets)
         return float(np.interp(offset, self.offsets[along], self.gain[along]))
 
-    def near(self, offset: float) -> float:
-        """The largest gain near an offset."""
-        return float(self.gain[np.abs(self.offsets - offset) <= _NEAR].max(initial=0.0))
+    def near(self, offset: float, within: float) -> float:
+        """The largest gain within a distance of an offset, columns."""
+        return float(self.gain[np.abs(self.offsets - offset) <= within].max(initial=0.0))
 
     def clear_offset(self, chosen: float) -> float:
-        """The offset at which clearly more pixels agree up to noise than near the chosen one, if there is one."""
-        best = int(np.argmax(self.gain))
-        clearly = self.gain[best] > max(CLEAR_GAIN, _CLEAR_RATIO * self.near(chosen))
+        """The offset at which clearly more pixels agree up to noise than near the chosen one, if there is one.
+
+        Of a plane's pixels all may agree at several offsets; small ones are more probable.
+        """
+        probable = self.gain / (1 + np.abs(self.offsets))
+        best = int(np.argmax(probable))
+        here = float(probable[np.abs(self.offsets - chosen) <= _NEAR].max(initial=0.0))
+        clearly = self.gain[best] > CLEAR_GAIN and probable[best] > _CLEAR_RATIO * here
         return float(self.offsets[best]) if clearly else chosen
 
 
@@ -146,10 +167,13 @@ def other_shifts(offsets: F64, with_margin: F64, likelihood: OffsetLikelihood, h
     """
     probable = with_margin + PER_COLUMN * np.abs(offsets)
     limit = min(float(probable.min()), cost + PER_COLUMN * abs(here)) + CLEARLY_MORE
-    small = np.abs(offsets) <= abs(here) + _FARTHER
-    gain = likelihood.near(here)
+    gain = likelihood.near(here, _NEAR)
+    farther = np.full(len(offsets), _FARTHER)
+    if gain >= CLEAR_GAIN:
+        farther[minima(offsets, with_margin)] = _MINIMUM_FARTHER
+    small = np.abs(offsets) <= abs(here) + farther
     least = gain / _CLEAR_RATIO if gain >= CLEAR_GAIN else 0.0
-    agreeing = np.array([likelihood.near(offset) >= least for offset in offsets])
+    agreeing = np.array([likelihood.near(offset, _OWN) >= least for offset in offsets])
     others = np.flatnonzero((probable <= limit) & small & agreeing & (np.abs(offsets - here) >= _SAME))
     shifts = offsets[others[np.argsort(probable[others], kind="stable")][:_MOST_OTHERS]] - here
     return np.asarray(np.concatenate([shifts, shifts / 2]), dtype=np.float64)

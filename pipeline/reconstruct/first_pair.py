@@ -97,6 +97,7 @@ def calibrate(
         match = calibrate_columns(made, *maps)
     contrast = camera_response.contrast_of_points(*maps, match, made.left.first_axis)
     made.set_response(_changed(made.response, camera_response.CONTRAST, contrast))
+    made.scan = scan_columns(made, *maps)
     made.clear_prior()
     return maps
 
@@ -145,17 +146,21 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
     """Find the projector's column correction from a pair and keep it; returns the match, valid until the next."""
     inside = OrderSearch(View.of(made.calibration, made.pattern, made.volume, made.settings), by_brightness=False)
     offsets = column_correction.offsets_to_try(made.settings.self_calibration_range)
-    between = offsets[:-1] + _HALF_STEP
 
     def costs(search: OrderSearch, offset: float) -> NDArray[np.float32]:
         return search.least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=_STRIDE)
 
-    all_costs = [costs(made.searches[0], each) for each in (*offsets, *between)]
-    with_margin = np.array([mean_of(each) for each in all_costs[: len(offsets)]])
+    tried = np.concatenate([offsets, offsets[:-1] + _HALF_STEP])
+    all_costs = [costs(made.searches[0], each) for each in tried]
+    finer = column_correction.finer_offsets(tried, np.array([mean_of(each) for each in all_costs]), _HALF_STEP / 2)
+    all_costs += [costs(made.searches[0], each) for each in finer]
+    tried = np.concatenate([tried, finer])
+    means = np.array([mean_of(each) for each in all_costs])
+    with_margin = np.array([means[np.abs(tried - each) <= _HALF_STEP / 2].min() for each in offsets])
     values = column_correction.improbability(
         offsets, with_margin, np.array([mean_of(costs(inside, each)) for each in offsets])
     )
-    likelihood = column_correction.OffsetLikelihood.of(np.concatenate([offsets, between]), all_costs)
+    likelihood = column_correction.OffsetLikelihood.of(tried, all_costs)
     chosen = likelihood.clear_offset(_best_of_minima(made, left, right, offsets, values))
     made.correction = np.array([chosen, 0.0, 0.0])
     made.calibrated = True
@@ -168,7 +173,6 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
     middle = (np.median(along), np.median(across)) if len(along) else (0.0, 0.0)
     here = float(made.correction @ (1.0, *middle))
     cost = mean_of(made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE))
-    made.scan = scan_columns(made, left, right)
     made.gain = likelihood.at(here)
     made.other_shifts = column_correction.other_shifts(offsets, with_margin, likelihood, here, cost)
     return match

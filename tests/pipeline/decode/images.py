@@ -84,6 +84,20 @@ def local_means_of(channels):
     return np.maximum(means[np.where(rows < len(means), rows, 2 * len(means) - 1 - rows)], 1)
 
 
-def normalised_of(levels):
-    channels = levels @ np.linalg.inv(CROSSTALK).T
-    return phasors_of(channels / local_means_of(channels), np.eye(3))[0]
+def normalised_of(levels, sharp=None):
+    """Phasors of channels divided by their local means; ``sharp``: other levels than those of the means."""
+    channels, divided = (each @ np.linalg.inv(CROSSTALK).T for each in (levels, levels if sharp is None else sharp))
+    return phasors_of(divided / local_means_of(channels), np.eye(3))[0]
+
+
+def equal_contrast_of(levels, own):
+    """First guess of a mosaic with samples two pixels away mixed in; own (H, W, 3): 1 for a sample's channel."""
+    mixed = levels.copy()
+    far = levels[:, :-4] + levels[:, 4:]
+    mixed[:, 2:-2] = (6 * levels[:, 2:-2] + far) / 8
+    # Red and blue where they have samples in the pixel's column; green everywhere, by half as much.
+    column = own + np.roll(own, 1, axis=0)
+    mixed = np.where(column > 0, mixed, levels)
+    mixed[..., 1] = levels[..., 1]
+    mixed[:, 2:-2, 1] = (14 * levels[:, 2:-2, 1] + far[..., 1]) / 16
+    return mixed

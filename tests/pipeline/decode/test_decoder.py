@@ -11,13 +11,15 @@ from pipeline.decode.kernels.color_gains import limits_of
 from pipeline.decode.kernels.local_mean import BoxMean
 from pipeline.decode.noise_model import estimate
 from pipeline.decode.packed_phasor import PHASOR_SCALE, unpacked
-from pipeline.decode.raw_image import BAYER
+from pipeline.decode.pixel_descriptor import periodic
+from pipeline.decode.raw_image import BAYER, mosaic_of
 from pipeline.rig.calibration import ColorModel
 from tests.pipeline.decode.images import (
     COLOR,
     INNER,
     SHIFTS,
     decoder,
+    equal_contrast_of,
     hard_image,
     image,
     levels_of,
@@ -252,6 +254,7 @@ def test_the_normalised_phase_is_correct_up_to_the_border(encoding):
     rgb = hard_image((72, 94))
     if encoding == "rgb8":
         raw, levels = rgb, levels_of(rgb)
+        sharp = levels
     else:
         raw = mosaic(rgb, encoding)
         v, u = np.mgrid[0 : raw.shape[0], 0 : raw.shape[1]]
@@ -259,15 +262,51 @@ def test_the_normalised_phase_is_correct_up_to_the_border(encoding):
         kernel = np.outer([1.0, 2.0, 1.0], [1.0, 2.0, 1.0])
         total, count = (cv2.filter2D(p, -1, kernel) for p in (own * raw[..., None], own))
         levels = total / count - COLOR.black
+        sharp = equal_contrast_of(levels, own)
     found = decoder(encoding).decode(raw)
     # Sums of 16 bits: a part in ten thousand of a bright mean, more of a dark one.
     bright = cv2.erode((levels.min(axis=2) > 10).astype(np.uint8), np.ones((9, 21))) > 0
     assert bright.mean() > 0.2
-    expected = normalised_of(levels)
+    expected = normalised_of(levels, sharp)
     # Rounded to 2048 steps of a turn, and what the means are off by.
     away = np.abs(wrapped(found.phase_normalised - np.angle(expected)))
     assert (away < np.pi / 2048 + 2e-3 / np.maximum(np.abs(expected), 0.05))[bright & (np.abs(expected) > 0.05)].all()
     assert bright[0].any() and bright[:, 0].any() and bright[-1].any()
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("encoding", list(BAYER))
+def test_the_normalised_phase_of_a_mosaic_has_no_error_that_changes_from_pixel_to_pixel(encoding, axis):
+    """Colours of unequal contrast cause one of twice the phase, 0.026 rad where neighbours' means are taken as such."""
+    period = 15.0
+    phase = 2 * np.pi / period * np.mgrid[0:90, 0:130][1 if axis == "x" else 0]
+    slopes = (2 * np.pi / period, 0.0) if axis == "x" else (0.0, 2 * np.pi / period)
+    made = Decoder(COLOR, SHIFTS, mosaic=mosaic_of(encoding), slopes=slopes, settings=Settings())
+    error = wrapped(made.decode(mosaic(image(phase), encoding)).phase_normalised - phase)
+    for rows in range(2):
+        for columns in range(2):
+            part = np.s_[20 + rows : -20 : 2, 20 + columns : -20 : 2]
+            assert abs((error[part] * np.exp(2j * phase[part])).mean()) < 0.006
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
+def test_a_periodic_error_is_subtracted_from_the_normalised_phase_alone(encoding):
+    rgb = image(smooth_phase())
+    raw = rgb if encoding == "rgb8" else mosaic(rgb, encoding)
+    made = decoder(encoding)
+    before = made.decode(raw)
+    kept = {name: np.array(getattr(before, name)) for name in PLANES}
+    error = np.array([0.01, -0.02, 0.03, 0.05, -0.1, 0.02])
+    made.correct(error)
+    after = made.decode(raw)
+    expected = periodic(kept["phase_normalised"].ravel()).reshape(*rgb.shape[:2], 6) @ error
+    np.testing.assert_allclose(
+        wrapped(kept["phase_normalised"] - after.phase_normalised), expected, atol=1.001 * np.pi / 2**11
+    )
+    for name in set(PLANES) - {"descriptors", "phase_normalised"}:
+        np.testing.assert_array_equal(getattr(after, name), kept[name])
+    made.correct(np.zeros(6))
+    np.testing.assert_array_equal(made.decode(raw).descriptors, kept["descriptors"])
 
 
 PLANES = ("phasor", "descriptors", "mean", "variance", "phase", "phase_normalised", "modulation", "valid")

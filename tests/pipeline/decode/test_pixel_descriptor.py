@@ -92,11 +92,17 @@ def test_a_decoder_writes_every_pixel_of_them(encoding):
 
 
 @pytest.mark.parametrize("divisor", [0.4, 1.0, 1.6])
-def test_dividing_the_means_changes_nothing_else(divisor):
+def test_means_and_normalised_phases_are_corrected_and_nothing_else(divisor):
     rng = np.random.default_rng(5)
     plane = rng.integers(-(2**31), 2**31, (7, 300), dtype=np.int64).astype(np.int32)
     plane[0, :256] = np.arange(256)
     before = plane.copy()
-    pixel_descriptor.divide_means(plane, divisor)
-    np.testing.assert_array_equal(plane & ~255, before & ~255)
+    error = np.array([0.02, 0.0, -0.1, 0.05, 0.0, 0.1])
+    pixel_descriptor.correct_descriptors(7, *pixel_descriptor.correction_tables(error, divisor), plane)
+    rest = ~(255 | 0x7FF << 9)
+    np.testing.assert_array_equal(plane & rest, before & rest)
     np.testing.assert_array_equal(plane & 255, np.minimum(np.rint((before & 255) / divisor), 255))
+    phase = pixel_descriptor.normalised_phase(before).ravel().astype(np.float64)
+    expected = phase - pixel_descriptor.periodic(phase) @ error
+    away = wrapped(pixel_descriptor.normalised_phase(plane).ravel() - expected)
+    assert np.abs(away).max() <= NORMALISED_ERROR
