@@ -42,7 +42,7 @@ class _Scatter(NamedTuple):
 
 THREE_CHIPS, MOSAIC = Shares(0.0007, 0.08), Shares(0.004, 0.3)
 """A mosaic's window is larger, and its samples are of different colours."""
-_THREE_CHIPS, _MOSAIC = _Scatter(0.05**2, 16.0), _Scatter(0.1**2, 12.0)
+_THREE_CHIPS, _MOSAIC = _Scatter(0.05**2, 16.0), _Scatter(0.06**2, 4.0)
 _SCATTER_SHARE = 0.012
 _PERIOD_PX = 10.7  # of the fringes whose scatter was measured
 _SAMPLES = 7000
@@ -61,7 +61,7 @@ SATURATED, FEW_SATURATED = 3.0, 0.05
 
 def shares_of(
     match: MatchResult, variance: Any, depth: Any, limits: tuple[np.float32, np.float32], *,
-    slopes: tuple[float, float], mosaic: bool, saturated: float,
+    slopes: tuple[float, float], mosaic: bool, saturated: float, corrected: float,
 ) -> Shares:  # fmt: skip
     """Shares of a pair.
 
@@ -69,6 +69,7 @@ def shares_of(
         variance: (H, W) rad^2, of the left phase; depth: (H, W) mm; limits: least and largest depth that counts.
         slopes: expected phase steps per pixel (x, y), one of them 0.
         saturated: share of the pair's pixels with a saturated sample.
+        corrected: scatter that is missing because its cause is corrected in the normalised phase alone, rad^2.
     """
     kind, usual = (MOSAIC, _MOSAIC) if mosaic else (THREE_CHIPS, _THREE_CHIPS)
     scatter, noise = _scatter(match, variance, depth, limits, slopes)
@@ -77,7 +78,7 @@ def shares_of(
     return Shares(
         kind.bias * (1 + (SATURATED - 1) * min(saturated / FEW_SATURATED, 1.0)),
         kind.misfit,
-        _SCATTER_SHARE * max(scatter - longer**2 * usual.texture - usual.noise * noise, 0.0),
+        _SCATTER_SHARE * max(scatter + corrected - longer**2 * usual.texture - usual.noise * noise, 0.0),
     )
 
 

@@ -138,6 +138,11 @@ def rms_of(error: F64) -> float:
     return float(np.sqrt((_sizes(error) ** 2).sum() / 2))
 
 
+def scatter_of(error: F64) -> float:
+    """Variance of the difference of a periodic error (6,) between places half a period apart, rad^2."""
+    return float(2 * (_sizes(error)[::2] ** 2).sum())
+
+
 def _sizes(error: F64) -> F64:
     """Amplitudes (3,) of the parts of a periodic error that go with one, two and three times the phase."""
     return np.hypot(error[::2], error[1::2])

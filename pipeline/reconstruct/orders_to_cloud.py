@@ -66,6 +66,7 @@ class CloudStage:
         self._floor_sq = np.float32((settings.min_modulation * PHASOR_SCALE) ** 2)
         self._correlation = np.float32(correlation)
         self.contrast = 1.0  # of the right camera's fringes, relative to the left one's
+        self.corrected_scatter = 0.0  # of the phases against the projector's, rad^2
         self._slopes = stride * left.slopes[0], stride * left.slopes[1]
         smallest = max(settings.cluster_min_area // stride**2, 1)
         self._gates = Gates(
@@ -157,7 +158,7 @@ class CloudStage:
         watch.lap("gates")
         shares = shares_of(
             match, part.variance, points.depth_mm(self._stride), self._depths, slopes=self._slopes,
-            mosaic=self._mosaic, saturated=left.saturated,
+            mosaic=self._mosaic, saturated=left.saturated, corrected=self.corrected_scatter,
         )  # fmt: skip
         widen_sigma(
             blocks(len(valid), SIGMA_ROWS), self._agreement.misfit, match, part.variance, shares, self._slopes,

@@ -144,7 +144,11 @@ class Reconstructor:
             self.decoders[0].correct(response[camera_response.ERROR])
             self.decoders[1] = self._right_decoder()
         for stage in self._stages.values():
-            stage.contrast = float(response[contrast])
+            self._set_response_of(stage)
+
+    def _set_response_of(self, stage: CloudStage) -> None:
+        stage.contrast = float(self.response[camera_response.CONTRAST])
+        stage.corrected_scatter = camera_response.scatter_of(self.response[camera_response.ERROR])
 
     def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:
         """Compile (or load) every kernel by runs on empty images; leaves no trace in the results.
@@ -274,5 +278,5 @@ class Reconstructor:
                 stride=stride,
                 mosaic=self._mosaic,
             )
-            self._stages[stride].contrast = float(self.response[camera_response.CONTRAST])
+            self._set_response_of(self._stages[stride])
         return self._stages[stride]
