@@ -45,6 +45,8 @@ _LARGEST = 2.5
 _PERIODIC, _NOTICEABLY_PERIODIC, _MOST_PERIODIC = 0.02, 0.08, 0.7
 """Periodic error, rms in radians, from which it is corrected and warned of; the largest slope that is corrected: with a
 slope of 1 phases would have no order any more."""
+_EXPLAINED = 0.95
+"""Share of the residuals' variance that the error leaves at most."""
 _FIT_ROUNDS, _INLIERS = 4, 2.5
 _PHASE_PARTS, _LEAST_SHARE = 8, 0.02
 """Parts of a period of which each needs this share of the points."""
@@ -124,13 +126,15 @@ def periodic_error(left: PhaseMap, match: MatchResult) -> F64:
         return np.zeros(6)
     terms = np.column_stack([periodic(phase), np.ones_like(phase)])
     inliers = np.ones(len(phase), np.bool_)
+    before = np.median(np.abs(residual - np.median(residual)))
     for _ in range(_FIT_ROUNDS):
         found = np.linalg.lstsq(terms[inliers], residual[inliers], rcond=None)[0]
         error = np.abs(residual - terms @ found)
-        inliers = error < _INLIERS * 1.4826 * np.median(error) + 1e-6
+        after = np.median(error)
+        inliers = error < _INLIERS * 1.4826 * after + 1e-6
     coefficients: F64 = np.asarray(found[:6], dtype=np.float64)
     fits = rms_of(coefficients) >= _PERIODIC and _sizes(coefficients) @ (1, 2, 3) <= _MOST_PERIODIC
-    return coefficients if fits else np.zeros(6)
+    return coefficients if fits and after**2 <= _EXPLAINED * before**2 else np.zeros(6)
 
 
 def rms_of(error: F64) -> float:
