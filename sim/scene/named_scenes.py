@@ -150,5 +150,6 @@ _SCENES: dict[str, Callable[[], Scene]] = {
     "balls": hard_scenes.balls,
     "white": lambda: hard_scenes.white(_mixed()),
     "white-bars": lambda: hard_scenes.white(hard_scenes.bars()),
+    "white-slots": lambda: hard_scenes.white(hard_scenes.slots()),
 }
 NAMES = (*_SCENES, "mesh")
