@@ -45,9 +45,8 @@ _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
 """Shares of such pixels that are tried."""
 _REFINED = 6
 """Minima of the mean cost about which finer offsets are tried."""
-_CLEAR_RATIO, _NEAR, _OWN = 1.5, 0.3, 0.13
-"""How many times the gain near the chosen offset that of one which replaces it must be; what is near, and what belongs
-to an offset alone, columns."""
+_CLEAR_RATIO, _NEAR = 1.5, 0.3
+"""How many times the gain near the chosen offset that of one which replaces it must be, and what is near, columns."""
 _SAME, _FARTHER, _MINIMUM_FARTHER, _MOST_OTHERS = 0.1, 0.2, 0.3, 2
 """Distance up to which offsets are alike, columns; how much farther from 0 another one may be, as projectors drift
 little, the second one where it is a minimum of its own and pixels agree up to noise; how many others are compared."""
@@ -125,9 +124,9 @@ class OffsetLikelihood(NamedTuple):
         along = np.argsort(self.offsets)
         return float(np.interp(offset, self.offsets[along], self.gain[along]))
 
-    def near(self, offset: float, within: float) -> float:
-        """The largest gain within a distance of an offset, columns."""
-        return float(self.gain[np.abs(self.offsets - offset) <= within].max(initial=0.0))
+    def near(self, offset: float) -> float:
+        """The largest gain near an offset."""
+        return float(self.gain[np.abs(self.offsets - offset) <= _NEAR].max(initial=0.0))
 
     def clear_offset(self, chosen: float) -> float:
         """The offset at which clearly more pixels agree up to noise than near the chosen one, if there is one.
@@ -167,13 +166,13 @@ def other_shifts(offsets: F64, with_margin: F64, likelihood: OffsetLikelihood, h
     """
     probable = with_margin + PER_COLUMN * np.abs(offsets)
     limit = min(float(probable.min()), cost + PER_COLUMN * abs(here)) + CLEARLY_MORE
-    gain = likelihood.near(here, _NEAR)
+    gain = likelihood.near(here)
     farther = np.full(len(offsets), _FARTHER)
     if gain >= CLEAR_GAIN:
         farther[minima(offsets, with_margin)] = _MINIMUM_FARTHER
     small = np.abs(offsets) <= abs(here) + farther
     least = gain / _CLEAR_RATIO if gain >= CLEAR_GAIN else 0.0
-    agreeing = np.array([likelihood.near(offset, _OWN) >= least for offset in offsets])
+    agreeing = np.array([likelihood.near(offset) >= least for offset in offsets])
     others = np.flatnonzero((probable <= limit) & small & agreeing & (np.abs(offsets - here) >= _SAME))
     shifts = offsets[others[np.argsort(probable[others], kind="stable")][:_MOST_OTHERS]] - here
     return np.asarray(np.concatenate([shifts, shifts / 2]), dtype=np.float64)

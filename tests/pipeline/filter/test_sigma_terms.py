@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from pipeline.common.parallel_for import blocks
+from pipeline.decode.pixel_descriptor import periodic
 from pipeline.filter.sigma_terms import BLUR, LAG, MOSAIC, ROWS, SATURATED, THREE_CHIPS, Shares, shares_of, widen_sigma
 from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS, MatchResult
+from pipeline.reconstruct.camera_response import scatter_of
 
 SHAPE = (150, 200)
 SLOPES = (0.6, 0.0)
@@ -74,12 +76,13 @@ def _match(normalised: Any, valid: Any = None) -> MatchResult:
 
 def _shares(
     match: MatchResult, *, noise: float = 1e-5, mosaic: bool = False, saturated: float = 0.0,
-    depth: Any = 1.0, slopes: tuple[float, float] = SLOPES,
+    depth: Any = 1.0, slopes: tuple[float, float] = SLOPES, corrected: float = 0.0,
 ) -> Shares:  # fmt: skip
     depth = np.broadcast_to(np.float32(depth), SHAPE)
     return shares_of(
-        match, np.full(SHAPE, noise, np.float32), depth, (0.5, 2.0), slopes=slopes, mosaic=mosaic, saturated=saturated
-    )
+        match, np.full(SHAPE, noise, np.float32), depth, (0.5, 2.0), slopes=slopes, mosaic=mosaic, saturated=saturated,
+        corrected=corrected,
+    )  # fmt: skip
 
 
 def test_phases_that_follow_the_projector_add_nothing() -> None:
@@ -96,6 +99,16 @@ def test_an_error_that_repeats_with_the_fringes_adds_in_proportion_to_its_square
     assert 0 < small < large and 3 < large / small < 5
     unknown = np.zeros(SHAPE, np.uint8)
     assert _shares(_match(wave, unknown)).variance == 0
+
+
+def test_a_periodic_error_that_is_corrected_still_counts_as_its_scatter() -> None:
+    error = np.array([0.1, 0.05, 0.2, 0.1, 0.0, 0.15])
+    turn = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
+    apart = (periodic(turn + np.pi) - periodic(turn)) @ error
+    assert scatter_of(error) == pytest.approx(np.mean(apart**2))
+    wave = periodic(SLOPES[0] * np.arange(SHAPE[1])) @ error
+    uncorrected = _shares(_match(np.tile(wave, (SHAPE[0], 1)) / RESIDUAL_STEP)).variance
+    assert _shares(_match(0), corrected=scatter_of(error)).variance == pytest.approx(uncorrected, rel=0.5)
 
 
 def test_mosaics_and_saturated_images_err_more() -> None:

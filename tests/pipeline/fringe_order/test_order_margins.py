@@ -31,6 +31,7 @@ from pipeline.reconstruct.column_correction import (
     CLEARLY_MORE,
     COMPARED_WITHIN,
     OffsetLikelihood,
+    finer_offsets,
     improbability,
     minima,
     other_shifts,
@@ -309,6 +310,32 @@ def test_the_offset_at_which_pixels_agree_up_to_noise_is_taken_whatever_the_mean
     assert OffsetLikelihood.of(offsets, [np.empty(0, np.float32)] * 7).clear_offset(0.25) == 0.25
 
 
+def test_of_offsets_at_which_about_as_many_pixels_agree_a_small_one_is_more_probable() -> None:
+    offsets = np.array([0.0, -0.25, 1.0, 1.625])
+    # A plane before the projector of a realistic rig: more pixels agree a period of another order away.
+    likelihood = OffsetLikelihood(offsets, np.array([0.0, 0.2, 0.25, 0.3]))
+    assert (likelihood.clear_offset(0.5), likelihood.clear_offset(-0.125)) == (-0.25, -0.125)
+    assert OffsetLikelihood(offsets, np.array([0.0, 0.1, 0.1, 0.6])).clear_offset(-0.25) == 1.625
+
+
+def test_finer_offsets_are_beside_the_least_costs() -> None:
+    offsets = np.array([0.0, -0.25, 0.25, -0.5, 0.5])
+    costs = np.array([0.3, 0.1, 0.4, 0.2, 0.35])
+    np.testing.assert_array_equal(finer_offsets(offsets, costs, 0.125), [-0.375, -0.125, 0.375, 0.625])
+    assert len(finer_offsets(np.arange(40.0), np.tile([0.1, 0.2], 20), 0.25)) == 12  # the six least ones
+
+
+def test_a_minimum_of_its_own_is_compared_from_farther_where_pixels_agree_up_to_noise() -> None:
+    offsets = np.array([0.0, -0.25, 0.25, -0.5, 0.5])
+    alike, own = np.full(5, 0.1), np.array([0.1, 0.09, 0.11, 0.12, 0.12])
+    agreeing = np.array([0.1, 0.1, 0.0, 0.0, 0.0])
+    assert other_shifts(offsets, own, OffsetLikelihood(offsets, agreeing), 0.0, 0.1) == pytest.approx([-0.25, -0.125])
+    assert len(other_shifts(offsets, own, OffsetLikelihood(offsets, agreeing / 10), 0.0, 0.1)) == 0
+    slope = np.array([0.1, 0.11, 0.11, 0.12, 0.12])  # beside the chosen one, and no minimum
+    assert len(other_shifts(offsets, slope, OffsetLikelihood(offsets, agreeing), 0.0, 0.1)) == 0
+    assert len(other_shifts(offsets, alike, OffsetLikelihood(offsets, 0 * agreeing), 0.0, 0.1)) == 0
+
+
 @pytest.mark.long
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(("number", "covered"), [(38, 0.9), (56, 0.78)])
@@ -358,7 +385,7 @@ def test_a_pair_whose_orders_are_mostly_ambiguous_gives_few_wrong_points(
 
 
 @pytest.mark.parametrize(
-    ("number", "wrong", "covered"), [(520, 0.05, 0.04), pytest.param(537, 0.001, 0.6, marks=pytest.mark.long)]
+    ("number", "wrong", "covered"), [(520, 0.05, 0.035), pytest.param(537, 0.001, 0.6, marks=pytest.mark.long)]
 )
 def test_a_wall_at_the_depth_of_an_object_before_it_is_judged_without_that(
     number: int, wrong: float, covered: float

@@ -4,12 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
+from pipeline.reconstruct import camera_response
+from pipeline.reconstruct.camera_response import EQUAL, ERROR
 from sim.evaluate.point_errors import point_errors
 from sim.render.render_pair import render_counts, truths, with_noise
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
 from tests.pipeline.small import LAYOUT, PERIODS, SETTINGS, reconstructor
-from tests.renders import stored
+from tests.renders import render_pair, stored
 
 GAINS = np.array([1.25, 1.0, 0.8], np.float32)
 
@@ -36,6 +38,7 @@ def test_equal_cameras_are_left_as_they_are() -> None:
     made, _, _ = _measured(*_pair("mixed"))
     np.testing.assert_array_equal(made.response[[0, 1, 2, 4]], 1)
     assert made.response[3] == pytest.approx(1, abs=0.02)
+    np.testing.assert_array_equal(made.response[ERROR], 0)
     assert made.warnings == ()
 
 
@@ -86,6 +89,45 @@ def test_upright_and_level_fringes_show_the_same_contrast() -> None:
     assert contrasts[0] == pytest.approx(contrasts[1], rel=0.02)
 
 
+def _faulty(scene, encoding, **faults):
+    pattern = LAYOUT.pattern(PERIODS)
+    return render_pair(LAYOUT, build(scene), pattern, Optics(**faults), 0.0, 5, encoding)
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
+def test_the_periodic_error_of_displaced_colours_is_measured_and_the_projector_agrees_better(encoding: str) -> None:
+    """Red and blue displaced by 0.3 columns to either side: their angles are wrong by 0.3 of a column's phase."""
+    pair = _faulty("mixed", encoding, color_shift_px=(0.3, 0.0, -0.3))
+    made = reconstructor(encoding=encoding)
+    made.reconstruct(pair.left, pair.right)
+    slope = (made.pattern.phase[-1] - made.pattern.phase[0]) / (made.pattern.length - 1)
+    # The three-step solution's part that runs backwards: a third of the channels' angles, each turned by its shift.
+    turned = np.exp(2j * np.array(made.pattern.shifts)) @ np.array([0.3, 0.0, -0.3]) * slope / 3
+    found = np.hypot(*made.response[ERROR][2:4])
+    assert found == pytest.approx(abs(turned), rel=0.15)
+    assert np.abs(np.delete(made.response[ERROR], [2, 3])).max() < 0.015
+    without = reconstructor(encoding=encoding)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(camera_response, "periodic_error", lambda *_: np.zeros(6))
+        without.reconstruct(pair.left, pair.right)
+    assert made.gain > 1.3 * without.gain
+
+
+def test_an_unknown_response_of_the_projector_is_reported_with_its_size() -> None:
+    pair = _faulty("mixed", "rgb8", gamma=2.2, precorrected=False)
+    made = reconstructor()
+    made.reconstruct(pair.left, pair.right)
+    error = made.response[ERROR]
+    assert np.hypot(*error[4:]) > 0.1 > 3 * np.hypot(*error[2:4])
+    assert f"a periodic error of {camera_response.rms_of(error):.2f} rad" in " ".join(made.warnings)
+    # All of it is in the state, which travels to other processes.
+    other = reconstructor()
+    other.restore(made.state())
+    np.testing.assert_array_equal(
+        other.reconstruct(pair.left, pair.right).xyz, made.reconstruct(pair.left, pair.right).xyz
+    )
+
+
 def test_a_restored_state_gives_the_next_cloud_to_the_last_bit() -> None:
     left, right, _ = _pair("mixed", lambda counts: counts * GAINS)
     first, second = reconstructor(), reconstructor()
@@ -102,7 +144,7 @@ def test_an_empty_scene_calibrates_nothing_and_the_first_pair_with_points_does()
         empty = [rng.poisson(level, left.shape).clip(0, 255).astype(np.uint8) for _ in range(2)]
         late.reconstruct(*empty)
         assert not late.calibrated
-        np.testing.assert_array_equal(late.response, 1)
+        np.testing.assert_array_equal(late.response, EQUAL)
         np.testing.assert_array_equal(late.correction, 0)
     np.testing.assert_array_equal(late.reconstruct(left, right).xyz, first.reconstruct(left, right).xyz)
     assert late.calibrated
