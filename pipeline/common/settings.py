@@ -41,7 +41,7 @@ class Settings:
     1 - a fifth of this. Surfaces there get their own orders, and no points, instead of wrong orders inside. 0 = off."""
     consistency_threshold: float = 1.5
     """Consistency filter: largest difference of the left and the right camera's absolute phase."""
-    outlier_phase_threshold: float = 0.3
+    outlier_phase_threshold: float = 0.35
     """Outlier filter: largest deviation of a point's projector phase from that of its neighbourhood."""
     reflection_threshold: float = 1.0
     """Reflection filter: largest deviation of a point's phase from the projector's phase there, after
