@@ -98,7 +98,6 @@ def calibrate(
     contrast = camera_response.contrast_of_points(*maps, match, made.left.first_axis)
     made.set_response(_changed(made.response, camera_response.CONTRAST, contrast))
     made.scan = scan_columns(made, *maps)
-    made.clear_prior()
     return maps
 
 
