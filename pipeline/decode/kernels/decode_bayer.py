@@ -135,7 +135,7 @@ def decode_bayer(
     wide = row_stride(3 * width + 6 * along)
     low, high = band * height // BANDS, (band + 1) * height // BANDS
     slab = np.zeros((8 * RING + 22, stride), np.float32)
-    levels, design, equal = slab[0:3], slab[3:9], slab[8 * RING + 19 :, :width]
+    levels, design, equal = slab[0:3], slab[3:9], slab[8 * RING + 19 :]
     re, im, w = slab[9, :width], slab[10, :width], slab[11, :width]
     balance, units, samples = slab[12:16], slab[16 : 16 + 2 * RING], slab[16 + 2 * RING : 16 + 4 * RING]
     plain, gains = slab[16 + 4 * RING : 16 + 5 * RING], slab[16 + 5 * RING : 19 + 5 * RING]
@@ -176,7 +176,7 @@ def decode_bayer(
                 first, last = abs(y - 2), y + 2 if y + 2 < height else 2 * height - 4 - y
                 above = _first_guess(image, first if level else y, mosaic, halo, cache, cached_rows)
                 below = _first_guess(image, last if level else y, mosaic, halo, cache, cached_rows)
-                equal_contrast(levels, above, below, level, mosaic[y & 1, 0], mosaic[y & 1, 1], black, equal)
+                equal_contrast(levels, above, below, level, mosaic[y & 1, 0], mosaic[y & 1, 1], black, width, equal)
                 normalised_row(equal, balance, unmix, ideal, re, im, w)
                 if table_step > 0:
                     correct_means(chromatic, table_step, y, re, im, w)

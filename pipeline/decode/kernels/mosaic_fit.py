@@ -59,7 +59,9 @@ def rough_row(above: Any, middle: Any, below: Any, even: int, odd: int, out: Any
 
 
 @linked
-def equal_contrast(levels: Any, above: Any, below: Any, level: bool, even: int, odd: int, black: Any, out: Any) -> None:
+def equal_contrast(
+    levels: Any, above: Any, below: Any, level: bool, even: int, odd: int, black: Any, n: int, out: Any
+) -> None:  # fmt: skip
     """Levels (3, W or more) of the first guess with the same contrast everywhere, as the normalised phase needs.
 
     The mean of the samples on both sides of a pixel has less contrast by cos(step of the phase) than its own sample,
@@ -69,30 +71,42 @@ def equal_contrast(levels: Any, above: Any, below: Any, level: bool, even: int, 
 
     Args:
         above, below: (3 W,) uint16, first guess of the rows two above and below, which matter for level fringes only.
-        level: the phase grows from row to row; even, odd: colours at this row's columns; black: (3,) counts.
+        level: the phase grows from row to row; even, odd: colours at this row's columns; black: (3,) counts; n: W.
     """
     own = odd if even == 1 else even  # the colour in this row that is not green
     other = 2 - own
     green = 0 if even == 1 else 1  # parity of the columns with green
-    six, fourteen, eighth, sixteenth = np.float32(6), np.float32(14), np.float32(1 / 8), np.float32(1 / 16)
-    n = out.shape[1]
-    for j in range(n):
-        out[0, j], out[1, j], out[2, j] = levels[0, j], levels[1, j], levels[2, j]
     if level:
-        unit = np.float32(1 / EIGHTHS)
+        _mix_rows(levels[own, :n], above[own::3], below[own::3], black[own], np.float32(6), out[own, :n])
+        _mix_rows(levels[1, :n], above[1::3], below[1::3], black[1], np.float32(14), out[1, :n])
+        row, to = levels[other, :n], out[other, :n]
         for j in range(n):
-            far = np.float32(above[3 * j + own] + below[3 * j + own]) * unit - np.float32(2) * black[own]
-            far_green = np.float32(above[3 * j + 1] + below[3 * j + 1]) * unit - np.float32(2) * black[1]
-            out[own, j] = (six * out[own, j] + far) * eighth
-            out[1, j] = (fourteen * out[1, j] + far_green) * sixteenth
+            to[j] = row[j]
         return
-    first, second, third = levels[own], levels[1], levels[other]
-    for j in range(2, n - 2):
-        is_green = (j & 1) == green
-        here, far = (third[j], third[j - 2] + third[j + 2]) if is_green else (first[j], first[j - 2] + first[j + 2])
-        mixed = (six * here + far) * eighth
-        out[own, j], out[other, j] = (first[j], mixed) if is_green else (mixed, third[j])
-        out[1, j] = (fourteen * second[j] + second[j - 2] + second[j + 2]) * sixteenth
+    _mix_columns(levels[own, :n], np.float32(6), 1 - green, 1 - green, out[own, :n])
+    _mix_columns(levels[other, :n], np.float32(6), green, green, out[other, :n])
+    _mix_columns(levels[1, :n], np.float32(14), 0, 1, out[1, :n])
+
+
+@linked
+def _mix_columns(row: Any, weight: float, first: int, second: int, out: Any) -> None:
+    """A row (n,) with what is two columns away mixed in, in columns of the parities ``first`` and ``second``."""
+    n, part = row.shape[0], np.float32(1) / (weight + np.float32(2))
+    for j in range(2):
+        out[j], out[n - 1 - j] = row[j], row[n - 1 - j]
+    behind, middle, ahead, inner = row[: n - 4], row[2 : n - 2], row[4:], out[2 : n - 2]
+    for j in range(inner.shape[0]):
+        mixed = (behind[j] + weight * middle[j] + ahead[j]) * part
+        inner[j] = mixed if ((j & 1) == first) | ((j & 1) == second) else middle[j]
+
+
+@linked
+def _mix_rows(row: Any, above: Any, below: Any, black: float, weight: float, out: Any) -> None:
+    """A row (n,) with what is two rows away mixed in: above, below (n,) uint16, first guesses in eighths of a count."""
+    part, unit = np.float32(1) / (weight + np.float32(2)), np.float32(1 / EIGHTHS)
+    for j in range(out.shape[0]):
+        far = np.float32(np.int32(above[j]) + np.int32(below[j])) * unit - np.float32(2) * black
+        out[j] = (weight * row[j] + far) * part
 
 
 @linked
