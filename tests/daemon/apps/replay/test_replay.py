@@ -187,7 +187,8 @@ def test_a_layout_that_cannot_distinguish_orders_is_a_problem(
     other = tmp_path / "middle.yaml"
     other.write_text(yaml.safe_dump(rig_files.calibration_mapping(middle, small_take.OPTICS), sort_keys=False))
     assert replay(take, "--out", tmp_path, "--calibration", other, "--calibration-check", "off") == 0
-    [problem] = summary_in(tmp_path)["problems"]
+    # The first pair's may follow: the take is of another rig.
+    problem = summary_in(tmp_path)["problems"][0]
     assert "surfaces may be at a wrong depth: the projector stands at 0.500 of the baseline" in problem
     assert f"warning: {problem}" in capsys.readouterr().err
 

@@ -195,7 +195,7 @@ def test_a_state_survives_json_and_restores_a_reconstructor() -> None:
     made = warmed_reconstructor(*arguments, encoding="rgb8", settings=Settings())
     first = capture(made)
     assert not first.settled
-    values = 0.1 + 0.2, -1e-17, 1 / 3, 1.1, 0.9, 1.0, 2 / 3, 0.7
+    values = 0.1 + 0.2, -1e-17, 1 / 3, 1.1, 0.9, 1.0, 2 / 3, 0.7, 0.01, -0.02, 1 / 30, 0.0, -1e-18, 0.1
     scan = (0.25, 0.1, 0.25, 0.1, 0.3, -3.0, 0.1, 0.2, 0.11, 0.32, 1 / 7)
     state = CarriedState("rgb8", ((values, True),), scan, (0.25, 1 / 3), 0.7)
     assert state.settled
