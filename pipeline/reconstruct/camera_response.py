@@ -121,7 +121,9 @@ def periodic_error(left: PhaseMap, match: MatchResult) -> F64:
     some = (match.valid[part] != 0) & (np.abs(match.residual_normalised[part]) < 0.5 / RESIDUAL_STEP)
     phase = normalised_phase(left.descriptors[part][some]).astype(np.float64)
     residual = RESIDUAL_STEP * match.residual_normalised[part][some].astype(np.float64)
-    parts = np.bincount((phase % (2 * np.pi) * (_PHASE_PARTS / (2 * np.pi))).astype(int) % _PHASE_PARTS, minlength=8)
+    parts = np.bincount(
+        (phase % (2 * np.pi) * (_PHASE_PARTS / (2 * np.pi))).astype(int) % _PHASE_PARTS, minlength=_PHASE_PARTS
+    )
     if len(phase) < _LEAST_POINTS or parts.min() < _LEAST_SHARE * len(phase):
         return np.zeros(6)
     terms = np.column_stack([periodic(phase), np.ones_like(phase)])
