@@ -153,7 +153,7 @@ class Gates:
         reject_unconfirmed(figures, continued, scale.matched_loss, surfaces, self._large, valid)
         planes = Planes(
             label, agreement.deviation, agreement.misfit, match.right_u, match.residual_normalised, match.residual,
-            modulation, mean, *points,
+            mean, *points,
         )  # fmt: skip
         border_test(
             blocks(len(label), BORDER_ROWS), planes, _LOSS, self._stride, self.per_order, MODEL,

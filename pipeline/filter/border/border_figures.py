@@ -1,7 +1,8 @@
-"""Fifteen figures that compare a pixel at a border with the pixels of its own surface around it.
+"""Eighteen figures that compare a pixel at a border with the pixels around it, of its own surface and of others.
 
-Neighbours, texture, phase against the projector, modulation, brightness, and the distance from their plane. Depths are
-counted in fringe orders, so that neither the size of the rig nor its units matter.
+Neighbours, texture, phase against the projector, brightness, and depth: the distance from the plane of its own surface,
+and the step to the other one. Depths are counted in fringe orders, so that neither the size of the rig nor its units
+matter.
 """
 
 from __future__ import annotations
@@ -15,19 +16,20 @@ from pipeline.common.jit import allocating, inline, linked, serial
 from pipeline.common.parallel_for import parallel_allocating
 from pipeline.common.tile_math import TILE
 from pipeline.filter.border.border_model import FIGURES
-from pipeline.filter.border.border_pixels import REACH, ROWS, distance_right, pixels_of_band
+from pipeline.filter.border.border_pixels import REACH, ROWS, pixels_of_band
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, MISFIT_STEPS
 from pipeline.match.match_result import RESIDUAL_STEP
 
 # Slots of a tile: one neighbour of every pixel, sums over the neighbours of its surface, and the plane through them.
-SAME, LOSS_OF, MODULATION, MEAN, FIRST, SECOND, DEPTH = range(7)
-OWN_DEPTH, N, BESIDE, SUMS = 7, 8, 9, 10
-SX, SY, SXX, SXY, SYY, SZ, SXZ, SYZ, SZZ = range(15, 24)
-OFF, SLOPE, RMS = range(24, 27)
-BESIDE_RIGHT = 27
-OUT = 28
+SAME, OTHER, LOSS_OF, MEAN, FIRST, SECOND, DEPTH = range(7)
+OWN_DEPTH, N, LOSSES, MEANS, FIRSTS, SECONDS = range(7, 13)
+SX, SY, SXX, SXY, SYY, SZ, SXZ, SYZ, SZZ = range(13, 22)
+OTHERS, OTHER_LOSSES, OTHER_DEPTHS, OUTSIDE_MEANS = range(22, 26)
+OFF, SLOPE, RMS, GRADIENT = range(26, 30)
+OUT = 30
 """The figures."""
 SLOTS = OUT + FIGURES
+_NEIGHBOURS = 12
 
 
 class Planes(NamedTuple):
@@ -37,7 +39,7 @@ class Planes(NamedTuple):
         label: uint16, one more than the surface, 0 = none; deviation, misfit: of
             :class:`pipeline.filter.texture_agreement.Agreement`.
         right_u: uint16; residual_normalised, residual: int16, of :class:`pipeline.match.match_result.MatchResult`.
-        modulation, mean: uint8; xyz, sigma: (stride H, stride W, 3) and (stride H, stride W), mm.
+        mean: uint8; xyz, sigma: (stride H, stride W, 3) and (stride H, stride W), mm.
     """
 
     label: Any
@@ -46,7 +48,6 @@ class Planes(NamedTuple):
     right_u: Any
     residual_normalised: Any
     residual: Any
-    modulation: Any
     mean: Any
     xyz: Any
     sigma: Any
@@ -63,27 +64,32 @@ def _gather(p: Any, losses: Any, at: Any, depth_at: Any, own: Any, ahead: int, d
     for m in range(at.shape[0]):
         # Unsigned, or numba tests every index for being negative.
         k, d = np.uint32(at[m] + ahead), np.uint32(depth_at[m] + depth_ahead)
-        t[SAME * TILE + m] = np.float32(p.label[k] == own[m])
-        t[LOSS_OF * TILE + m] = losses[p.deviation[k]]
-        t[MODULATION * TILE + m], t[MEAN * TILE + m] = np.float32(p.modulation[k]), np.float32(p.mean[k])
+        label = p.label[k]
+        t[SAME * TILE + m] = np.float32(label == own[m])
+        t[OTHER * TILE + m] = np.float32((label != own[m]) & (label != 0))
+        t[LOSS_OF * TILE + m], t[MEAN * TILE + m] = losses[p.deviation[k]], np.float32(p.mean[k])
         t[FIRST * TILE + m], t[SECOND * TILE + m] = np.float32(p.residual_normalised[k]), np.float32(p.residual[k])
         t[DEPTH * TILE + m] = p.xyz[d]
 
 
 @inline
-def _add(t: Any, x: Any, y: Any, beside: Any) -> None:
-    """Add the gathered neighbour at (x, y) to the sums, where it belongs to the pixel's surface."""
+def _add(t: Any, x: Any, y: Any) -> None:
+    """Add the gathered neighbour at (x, y) to the sums over the pixel's surface, or to those over the rest."""
+    zero, one = np.float32(0.0), np.float32(1.0)
     for m in range(TILE):
-        own = t[SAME * TILE + m]
-        z = t[DEPTH * TILE + m] - t[OWN_DEPTH * TILE + m]
-        z = z if own > np.float32(0.0) else np.float32(0.0)
+        own, other = t[SAME * TILE + m], t[OTHER * TILE + m]
+        loss, mean = t[LOSS_OF * TILE + m], t[MEAN * TILE + m]
+        step = t[DEPTH * TILE + m] - t[OWN_DEPTH * TILE + m]
+        z = step if own > zero else zero
         t[N * TILE + m] += own
-        t[BESIDE * TILE + m] += own * beside
-        t[(SUMS + 0) * TILE + m] += own * t[LOSS_OF * TILE + m]
-        t[(SUMS + 1) * TILE + m] += own * t[MODULATION * TILE + m]
-        t[(SUMS + 2) * TILE + m] += own * t[MEAN * TILE + m]
-        t[(SUMS + 3) * TILE + m] += own * t[FIRST * TILE + m]
-        t[(SUMS + 4) * TILE + m] += own * t[SECOND * TILE + m]
+        t[LOSSES * TILE + m] += own * loss
+        t[MEANS * TILE + m] += own * mean
+        t[FIRSTS * TILE + m] += own * t[FIRST * TILE + m]
+        t[SECONDS * TILE + m] += own * t[SECOND * TILE + m]
+        t[OTHERS * TILE + m] += other
+        t[OTHER_LOSSES * TILE + m] += other * loss
+        t[OTHER_DEPTHS * TILE + m] += step if other > zero else zero
+        t[OUTSIDE_MEANS * TILE + m] += (one - own) * mean
         t[SX * TILE + m] += own * x
         t[SY * TILE + m] += own * y
         t[SXX * TILE + m] += own * (x * x)
@@ -133,8 +139,8 @@ def figures(p: Any, losses: Any, stride: int, per_order: Any, at: Any, t: Any) -
     width, wide = p.label.shape[1], 3 * stride * p.xyz.shape[1]
     flat = Planes(
         p.label.reshape(-1), p.deviation.reshape(-1), p.misfit.reshape(-1), p.right_u.reshape(-1),
-        p.residual_normalised.reshape(-1), p.residual.reshape(-1), p.modulation.reshape(-1), p.mean.reshape(-1),
-        p.xyz.reshape(-1), p.sigma.reshape(-1),
+        p.residual_normalised.reshape(-1), p.residual.reshape(-1), p.mean.reshape(-1), p.xyz.reshape(-1),
+        p.sigma.reshape(-1),
     )  # fmt: skip
     own, place, depth_place = np.empty(TILE, np.uint16), np.empty(n, np.int32), np.empty(n, np.int32)
     t[: OUT * TILE] = f(0.0)
@@ -148,45 +154,51 @@ def figures(p: Any, losses: Any, stride: int, per_order: Any, at: Any, t: Any) -
             if (dy + dx) % 2 != 0 or (dy == 0 and dx == 0):
                 continue
             _gather(flat, losses, place, depth_place, own, dy * width + dx, dy * wide + 3 * stride * dx, t)
-            _add(t, f(dx), f(dy), one if abs(dy) == 1 else f(0.0))
+            _add(t, f(dx), f(dy))
     _plane(t)
     for m in range(n):
         i, j, k = at[m, 0], at[m, 1], np.uint32(place[m])
         t[SAME * TILE + m], t[DEPTH * TILE + m] = f(flat.misfit[k]), p.sigma[stride * i, stride * j]
-        t[LOSS_OF * TILE + m], t[MODULATION * TILE + m] = f(flat.deviation[k]), f(flat.modulation[k])
-        t[MEAN * TILE + m], t[FIRST * TILE + m] = f(flat.mean[k]), f(flat.residual_normalised[k])
-        t[SECOND * TILE + m], t[BESIDE_RIGHT * TILE + m] = (
-            f(flat.residual[k]),
-            distance_right(p.label[i], p.right_u[i], j),
-        )
+        t[LOSS_OF * TILE + m], t[MEAN * TILE + m] = f(flat.deviation[k]), f(flat.mean[k])
+        t[SECOND * TILE + m] = f(flat.residual[k])
+        across = f(p.mean[i, j + 1]) - f(p.mean[i, j - 1])
+        t[GRADIENT * TILE + m] = abs(across) + abs(f(p.mean[i + 1, j]) - f(p.mean[i - 1, j]))
     _compare(t, per_order, one / f(stride))
 
 
 @serial
 def _compare(t: Any, per_order: Any, per_stride: Any) -> None:
-    """The figures from the sums and the pixels' own values; each between 0 and about 2.
+    """The figures from the sums and the pixels' own values; each between -1 and 3.
 
     In the same array: the compiler then sees that they do not overlap with what they are computed from.
     """
-    f, one = np.float32, np.float32(1.0)
+    f, one, most = np.float32, np.float32(1.0), np.float32(2.0)
     for m in range(TILE):
-        n, z = t[N * TILE + m], max(t[OWN_DEPTH * TILE + m], f(1e-3))
-        per, orders = one / max(n, one), one / (z * z * per_order)
+        n, others, z = t[N * TILE + m], t[OTHERS * TILE + m], max(t[OWN_DEPTH * TILE + m], f(1e-3))
+        per, per_other, orders = one / max(n, one), one / max(others, one), one / (z * z * per_order)
         off, sigma = t[OFF * TILE + m] * orders, t[DEPTH * TILE + m] * orders
         rms, slope = t[RMS * TILE + m] * orders, t[SLOPE * TILE + m] * orders * per_stride
-        residual, normalised = t[(SUMS + 4) * TILE + m] * per, t[(SUMS + 3) * TILE + m] * per
-        t[(OUT + 0) * TILE + m], t[(OUT + 1) * TILE + m] = t[BESIDE * TILE + m] * f(0.25), n * f(1 / 12)
+        normalised, residual = t[FIRSTS * TILE + m] * per, t[SECONDS * TILE + m] * per
+        step = t[OTHER_DEPTHS * TILE + m] * per_other * orders
+        here, own = t[MEAN * TILE + m], t[MEANS * TILE + m] * per
+        outside = t[OUTSIDE_MEANS * TILE + m] / max(f(_NEIGHBOURS) - n, one)
+        contrast, least = outside - own, f(0.1) * own + f(2.0)
+        share = (here - own) * contrast / (contrast * contrast + least * least)
+        t[(OUT + 0) * TILE + m], t[(OUT + 1) * TILE + m] = n * f(1 / _NEIGHBOURS), others * f(1 / _NEIGHBOURS)
         t[(OUT + 2) * TILE + m] = min(t[LOSS_OF * TILE + m] * f(1 / DEVIATION_STEPS), f(6.0)) * f(1 / 3)
-        t[(OUT + 3) * TILE + m] = min(t[SUMS * TILE + m] * per, f(3.0))
-        t[(OUT + 4) * TILE + m] = min(abs(t[SECOND * TILE + m] - residual) * f(RESIDUAL_STEP), one)
-        t[(OUT + 5) * TILE + m] = min(abs(t[FIRST * TILE + m] - normalised) * f(4 * RESIDUAL_STEP), f(2.0))
-        t[(OUT + 6) * TILE + m] = min(t[MODULATION * TILE + m] * n / max(t[(SUMS + 1) * TILE + m], one), f(1.2))
-        t[(OUT + 7) * TILE + m] = min(abs(t[MEAN * TILE + m] * n / max(t[(SUMS + 2) * TILE + m], one) - one), one)
-        t[(OUT + 8) * TILE + m], t[(OUT + 9) * TILE + m] = off / (off + f(0.03)), sigma / (sigma + f(0.003))
-        t[(OUT + 10) * TILE + m], t[(OUT + 11) * TILE + m] = rms / (rms + f(0.01)), slope / (slope + f(0.02))
-        t[(OUT + 12) * TILE + m] = t[SAME * TILE + m] * f(1 / MISFIT_STEPS)
-        t[(OUT + 13) * TILE + m] = off / (off + f(3.0) * sigma + f(1e-9))
-        t[(OUT + 14) * TILE + m] = t[BESIDE_RIGHT * TILE + m]
+        t[(OUT + 3) * TILE + m] = min(t[LOSSES * TILE + m] * per, f(3.0))
+        t[(OUT + 4) * TILE + m] = min(t[OTHER_LOSSES * TILE + m] * per_other, f(3.0))
+        t[(OUT + 5) * TILE + m] = min(abs(t[SECOND * TILE + m] - residual) * f(RESIDUAL_STEP), one)
+        t[(OUT + 6) * TILE + m] = min(abs(residual) * f(4 * RESIDUAL_STEP), most)
+        t[(OUT + 7) * TILE + m] = min(abs(normalised) * f(4 * RESIDUAL_STEP), most)
+        t[(OUT + 8) * TILE + m] = min(abs(here / max(own, one) - one), one)
+        t[(OUT + 9) * TILE + m], t[(OUT + 10) * TILE + m] = off / (off + f(0.03)), sigma / (sigma + f(0.003))
+        t[(OUT + 11) * TILE + m], t[(OUT + 12) * TILE + m] = rms / (rms + f(0.01)), slope / (slope + f(0.02))
+        t[(OUT + 13) * TILE + m] = t[SAME * TILE + m] * f(1 / MISFIT_STEPS)
+        t[(OUT + 14) * TILE + m] = step / (abs(step) + f(0.3))
+        t[(OUT + 15) * TILE + m] = contrast / (outside + own + f(4.0))
+        t[(OUT + 16) * TILE + m] = min(max(share, -one), most)
+        t[(OUT + 17) * TILE + m] = min(t[GRADIENT * TILE + m] / (here + most), most)
 
 
 @allocating

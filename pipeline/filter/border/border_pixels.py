@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import allocating_linked, linked, serial
+from pipeline.common.jit import allocating_linked, serial
 from pipeline.match.match_result import PIXEL_STEPS
 
 REACH = 2
@@ -102,17 +102,3 @@ def pixels_of_band(label: Any, right_u: Any, band: int, at: Any) -> int:
                     at[n, 0], at[n, 1] = i, j
                     n += border[j]
     return n
-
-
-@linked
-def distance_right(label: Any, right_u: Any, j: int) -> Any:
-    """Distance to the border along the row in the right image, in :data:`RIGHT_STEPS`, at most 2."""
-    k, width, least = label[j], label.shape[0], 2 * RIGHT_STEPS
-    for step in (-1, 1):
-        at = j
-        for _ in range(FARTHEST):
-            if at + step < 0 or at + step >= width or label[at + step] != k:
-                least = min(least, int(abs(np.int32(right_u[at]) - np.int32(right_u[j]))))
-                break
-            at += step
-    return np.float32(least) * np.float32(1 / RIGHT_STEPS)

@@ -32,8 +32,7 @@ def planes(seed: int = 3, *, behind_mm: float = 60.0) -> Planes:
     return Planes(
         label, rng.integers(0, 20, SHAPE).astype(np.uint8), np.zeros(SHAPE, np.uint8),
         (PIXEL_STEPS * (j + 20.0)).astype(np.uint16), *rng.normal(0, 4, (2, *SHAPE)).astype(np.int16),
-        rng.integers(70, 75, SHAPE).astype(np.uint8), rng.integers(100, 105, SHAPE).astype(np.uint8), xyz,
-        np.full(SHAPE, 0.02, np.float32),
+        rng.integers(100, 105, SHAPE).astype(np.uint8), xyz, np.full(SHAPE, 0.02, np.float32),
     )  # fmt: skip
 
 
@@ -65,7 +64,7 @@ def test_a_point_between_two_surfaces_is_rejected_or_gets_a_sigma_of_the_size_of
     p.xyz[wrong][..., 2] += 0.4 * ORDER_MM
     p.residual_normalised[wrong] = round(0.4 / RESIDUAL_STEP)
     p.residual[wrong] = round(0.4 / RESIDUAL_STEP)
-    p.modulation[wrong], p.mean[wrong], p.deviation[wrong] = 45, 80, 70
+    p.mean[wrong], p.deviation[wrong] = 80, 70
     valid, _, sigma = _outcome(p)
     before = _outcome(clean)[2]
     assert valid[wrong].mean() < 0.2
@@ -125,7 +124,7 @@ def test_the_outcome_depends_neither_on_the_unit_nor_on_what_unknown_pixels_hold
     p.label[20:30, 60:70] = 0
     wrong = np.s_[30:50:4, EDGE - 1]
     p.xyz[wrong][..., 2] += 0.4 * ORDER_MM
-    p.modulation[wrong], p.mean[wrong], p.deviation[wrong] = 45, 80, 70
+    p.mean[wrong], p.deviation[wrong] = 80, 70
     valid, misfit, sigma = _outcome(p)
     unknown = p.label == 0
     p.xyz[unknown], p.residual[unknown], p.deviation[unknown] = np.nan, 30000, 255
