@@ -19,14 +19,14 @@ from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP
 SHAPE = (60, 90)
 PER_ORDER = np.float32(5e-6)
 ORDER_MM = 1000.0**2 * float(PER_ORDER)
-EDGE = 45
+EDGE, GAP = 45, 2
 
 
 def planes(seed: int = 3, *, behind_mm: float = 60.0) -> Planes:
-    """Two planes 1 m away, the second ``behind_mm`` farther, which meet at column EDGE; everything agrees."""
+    """Two planes 1 m away, the first up to column EDGE, the second ``behind_mm`` farther after a gap; all agrees."""
     rng = np.random.default_rng(seed)
     i, j = np.indices(SHAPE)
-    label = np.where(j < EDGE, 1, 2).astype(np.uint16)
+    label = np.where(j < EDGE, 1, np.where(j < EDGE + GAP, 0, 2)).astype(np.uint16)
     xyz = np.zeros((*SHAPE, 3), np.float32)
     xyz[..., 2] = 1000 + 0.05 * j + 0.02 * i + behind_mm * (j >= EDGE) + rng.normal(0, 0.02, SHAPE)
     return Planes(
@@ -52,10 +52,19 @@ def _outcome(
 def test_only_points_near_a_border_are_touched() -> None:
     p = planes()
     valid, _, sigma = _outcome(p)
-    far = np.abs(np.arange(SHAPE[1]) - EDGE + 0.5) > 3
+    from_gap = np.abs(np.arange(SHAPE[1]) - EDGE - 0.5 * (GAP - 1)) - 0.5 * GAP
+    far, near = from_gap > 3, (from_gap > 0) & (from_gap < 2)
     assert valid[:, far].all() and (sigma[:, far] == p.sigma[:, far]).all()
-    assert valid[4:-4, EDGE - 2 : EDGE + 2].mean() > 0.97
+    assert valid[4:-4, near].mean() > 0.97 and (sigma[4:-4, near] > p.sigma[4:-4, near]).any()
     assert (sigma >= p.sigma).all()
+
+
+def test_points_directly_beside_another_surface_are_doubted_more() -> None:
+    """Without pixels between them the border of one of both is often displaced: most wrong points lie there."""
+    apart, joined = planes(), planes()
+    joined.label[:, EDGE : EDGE + GAP] = 1
+    beside = [_outcome(p, 0.02)[0][4:-4, EDGE + GAP].mean() for p in (apart, joined)]
+    assert beside[1] < beside[0]
 
 
 def test_a_point_between_two_surfaces_is_rejected_or_gets_a_sigma_of_the_size_of_its_error() -> None:
@@ -115,7 +124,7 @@ def test_sigma_grows_with_the_root_of_the_variance_and_never_shrinks(variance: f
     p.misfit[:] = 9
     _, misfit, sigma = _outcome(p, 1.0, MODEL._replace(spread=spread))
     tested = misfit == 0
-    assert tested[4:-4, EDGE - 1 : EDGE + 1].all() and not tested[:, : EDGE - 4].any()
+    assert tested[4:-4, EDGE - 2 : EDGE].all() and tested[4:-4, EDGE + GAP].all() and not tested[:, : EDGE - 4].any()
     assert np.allclose(sigma[tested], factor * p.sigma[tested], rtol=1e-5)
 
 
