@@ -30,6 +30,7 @@ OUT = 30
 """The figures."""
 SLOTS = OUT + FIGURES
 _NEIGHBOURS = 12
+"""Pixels around that are compared: every second one of 5 x 5."""
 
 
 class Planes(NamedTuple):
@@ -182,6 +183,7 @@ def _compare(t: Any, per_order: Any, per_stride: Any) -> None:
         step = t[OTHER_DEPTHS * TILE + m] * per_other * orders
         here, own = t[MEAN * TILE + m], t[MEANS * TILE + m] * per
         outside = t[OUTSIDE_MEANS * TILE + m] / max(f(_NEIGHBOURS) - n, one)
+        # Less contrast than a tenth of the brightness, or than two counts, shows no place between both.
         contrast, least = outside - own, f(0.1) * own + f(2.0)
         share = (here - own) * contrast / (contrast * contrast + least * least)
         t[(OUT + 0) * TILE + m], t[(OUT + 1) * TILE + m] = n * f(1 / _NEIGHBOURS), others * f(1 / _NEIGHBOURS)
