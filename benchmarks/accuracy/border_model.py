@@ -35,7 +35,7 @@ _FIRST_RANDOM = 200
 """Scenes before are for tests of the result."""
 _MOST_WRONG = 0.1
 """Share of wrong points from which a scene is left out: there whole surfaces have wrong orders."""
-_MOST_RIGHT = 6000
+_MOST_OF_A_KIND = 6000
 """Right points of a pair that are fitted to, and wrong ones: more of them take memory and change nothing."""
 _CONVERGED = 1e-4
 """Largest change of a coefficient at which an iteration ends."""
@@ -81,7 +81,7 @@ def thinned(x: Floats, ratio: Floats) -> tuple[Floats, Floats, Floats]:
     """
     rng = np.random.default_rng(0)
     wrong = np.isinf(ratio)
-    share = np.where(wrong, min(1, _MOST_RIGHT / max(wrong.sum(), 1)), min(1, _MOST_RIGHT / max((~wrong).sum(), 1)))
+    share = np.minimum(1.0, _MOST_OF_A_KIND / np.where(wrong, wrong.sum(), (~wrong).sum()))
     some = rng.random(len(ratio)) < share
     return x[some], ratio[some], 1 / (share[some] * np.sqrt(len(ratio)))
 
