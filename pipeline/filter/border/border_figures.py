@@ -20,7 +20,8 @@ from pipeline.filter.border.border_pixels import REACH, ROWS, pixels_of_band
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, MISFIT_STEPS
 from pipeline.match.match_result import RESIDUAL_STEP
 
-# Slots of a tile: one neighbour of every pixel, sums over the neighbours of its surface, and the plane through them.
+# Slots of a tile: one neighbour of every pixel, sums over those of its surface, sums over the others, and the plane
+# through those of its surface.
 SAME, OTHER, LOSS_OF, MEAN, FIRST, SECOND, DEPTH = range(7)
 OWN_DEPTH, N, LOSSES, MEANS, FIRSTS, SECONDS = range(7, 13)
 SX, SY, SXX, SXY, SYY, SZ, SXZ, SYZ, SZZ = range(13, 22)
@@ -173,7 +174,7 @@ def _compare(t: Any, per_order: Any, per_stride: Any) -> None:
 
     In the same array: the compiler then sees that they do not overlap with what they are computed from.
     """
-    f, one, most = np.float32, np.float32(1.0), np.float32(2.0)
+    f, one, two = np.float32, np.float32(1.0), np.float32(2.0)
     for m in range(TILE):
         n, others, z = t[N * TILE + m], t[OTHERS * TILE + m], max(t[OWN_DEPTH * TILE + m], f(1e-3))
         per, per_other, orders = one / max(n, one), one / max(others, one), one / (z * z * per_order)
@@ -183,24 +184,24 @@ def _compare(t: Any, per_order: Any, per_stride: Any) -> None:
         step = t[OTHER_DEPTHS * TILE + m] * per_other * orders
         here, own = t[MEAN * TILE + m], t[MEANS * TILE + m] * per
         outside = t[OUTSIDE_MEANS * TILE + m] / max(f(_NEIGHBOURS) - n, one)
-        # Less contrast than a tenth of the brightness, or than two counts, shows no place between both.
-        contrast, least = outside - own, f(0.1) * own + f(2.0)
+        # Less contrast than a tenth of the brightness and two counts shows no place between both.
+        contrast, least = outside - own, f(0.1) * own + two
         share = (here - own) * contrast / (contrast * contrast + least * least)
         t[(OUT + 0) * TILE + m], t[(OUT + 1) * TILE + m] = n * f(1 / _NEIGHBOURS), others * f(1 / _NEIGHBOURS)
         t[(OUT + 2) * TILE + m] = min(t[LOSS_OF * TILE + m] * f(1 / DEVIATION_STEPS), f(6.0)) * f(1 / 3)
         t[(OUT + 3) * TILE + m] = min(t[LOSSES * TILE + m] * per, f(3.0))
         t[(OUT + 4) * TILE + m] = min(t[OTHER_LOSSES * TILE + m] * per_other, f(3.0))
         t[(OUT + 5) * TILE + m] = min(abs(t[SECOND * TILE + m] - residual) * f(RESIDUAL_STEP), one)
-        t[(OUT + 6) * TILE + m] = min(abs(residual) * f(4 * RESIDUAL_STEP), most)
-        t[(OUT + 7) * TILE + m] = min(abs(normalised) * f(4 * RESIDUAL_STEP), most)
+        t[(OUT + 6) * TILE + m] = min(abs(residual) * f(4 * RESIDUAL_STEP), two)
+        t[(OUT + 7) * TILE + m] = min(abs(normalised) * f(4 * RESIDUAL_STEP), two)
         t[(OUT + 8) * TILE + m] = min(abs(here / max(own, one) - one), one)
         t[(OUT + 9) * TILE + m], t[(OUT + 10) * TILE + m] = off / (off + f(0.03)), sigma / (sigma + f(0.003))
         t[(OUT + 11) * TILE + m], t[(OUT + 12) * TILE + m] = rms / (rms + f(0.01)), slope / (slope + f(0.02))
         t[(OUT + 13) * TILE + m] = t[SAME * TILE + m] * f(1 / MISFIT_STEPS)
         t[(OUT + 14) * TILE + m] = step / (abs(step) + f(0.3))
         t[(OUT + 15) * TILE + m] = contrast / (outside + own + f(4.0))
-        t[(OUT + 16) * TILE + m] = min(max(share, -one), most)
-        t[(OUT + 17) * TILE + m] = min(t[GRADIENT * TILE + m] / (here + most), most)
+        t[(OUT + 16) * TILE + m] = min(max(share, -one), two)
+        t[(OUT + 17) * TILE + m] = min(t[GRADIENT * TILE + m] / (here + two), two)
 
 
 @allocating

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FIGURES = 18
-"""Figures of a border pixel, see :mod:`pipeline.filter.border.border_test`."""
+"""Figures of a border pixel, see :mod:`pipeline.filter.border.border_figures`."""
 
 
 class BorderModel(NamedTuple):
