@@ -14,7 +14,7 @@ from pipeline.rig import calibration
 from sim.boards import board_scene, session
 from sim.rig.layout import RigLayout
 
-SMALL = ["--scale", "0.125", "--views", "2", "--board", "circles:5x4:60:36"]
+SMALL = ["--scale", "0.0625", "--views", "2", "--board", "circles:5x4:60:36"]
 
 
 def test_a_session_for_the_projector_is_a_capture_folder_with_its_truth(tmp_path):
@@ -24,7 +24,7 @@ def test_a_session_for_the_projector_is_a_capture_folder_with_its_truth(tmp_path
     frames = sequence.from_mapping(description["sequence"])
     assert description["encoding"] == "rgb8"
     assert frames.name == "projector"
-    layout = RigLayout().scaled(0.125)
+    layout = RigLayout().scaled(0.0625)
     for view in range(2):
         for k in range(len(frames)):
             for side in ("left", "right"):

@@ -6,7 +6,7 @@ import importlib.util
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
@@ -27,23 +27,30 @@ def _missing() -> str:
     return "" if importlib.util.find_spec("harvesters") else "the package harvesters is missing"
 
 
-@pytest.fixture
-def make_box(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Box]]:
-    """``make_box(scene="mixed")`` is a small rig in lock-step; options: the simulation's, or ``box={...}``."""
+@contextmanager
+def boxes() -> Iterator[Callable[..., Box]]:
+    """As the fixture ``make_box``, for fixtures of another scope."""
     reason = _missing()
     if reason and os.environ.get("CI") == "true":
         pytest.fail(reason)
     if reason:
         pytest.skip(reason)
-    with ExitStack() as stack:
+    with ExitStack() as stack, pytest.MonkeyPatch.context() as patch:
 
         def make(box: dict[str, Any] | None = None, *, real_time: bool = False, **simulation: Any) -> Box:
             simulation = {"scene": "mixed", "frames": 1, "layout": {"scale": 0.25}} | simulation
             options = {"tcp": 0, "exposure_us": 500, "readout_us": 500, "simulation": simulation}
             made = stack.enter_context(Box(from_mapping(options | (box or {})), real_time=real_time))
-            monkeypatch.setenv(GENTL_DIR, str(made.gentl_dir))
+            patch.setenv(GENTL_DIR, str(made.gentl_dir))
             return made
 
+        yield make
+
+
+@pytest.fixture
+def make_box() -> Iterator[Callable[..., Box]]:
+    """``make_box(scene="mixed")`` is a small rig in lock-step; options: the simulation's, or ``box={...}``."""
+    with boxes() as make:
         yield make
 
 

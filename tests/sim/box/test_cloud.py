@@ -16,7 +16,7 @@ from sim.evaluate.score import Score, score
 from sim.render import render_pair
 from tools.waiting import wait_until
 
-PAIRS = 5
+PAIRS = 3
 
 
 def simulated(box: Box, index: int) -> np.ndarray:

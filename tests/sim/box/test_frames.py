@@ -20,7 +20,7 @@ from sim.box.box import Box
 from sim.render.projection_transport import Stage
 from sim.scene import named_scenes
 
-TRIGGERS = 120
+TRIGGERS = 60
 
 
 @contextmanager

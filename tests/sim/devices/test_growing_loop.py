@@ -114,12 +114,11 @@ def test_an_unfinished_loop_goes_on_where_it_ended(options: SimOptions, ended: P
         assert growing.ready >= kept >= 3
         assert [path for path in names(options) if path == "loop-"] == []
         wait_until(lambda: growing.ready >= kept + 2)
-        expected = loops.rendered_pairs(options)
-        for index, (left, right) in zip(range(kept + 2), expected, strict=False):
-            found = growing.pair(index)
-            assert np.array_equal(found[0], left) and np.array_equal(found[1], right)
+        found = [growing.pair(index) for index in range(kept + 2)]
     finally:
         growing.close()
+    for pair, (left, right) in zip(found, loops.rendered_pairs(options), strict=False):
+        assert np.array_equal(pair[0], left) and np.array_equal(pair[1], right)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from sim.devices.scene_options import optics_of, scene_of
 from sim.render import render_pair
 from sim.rig.disturbance import Disturbance, TrueRig
 
-OPTIONS = {"scene": "spheres", "live": True, "layout": {"scale": 0.125}, "rate_hz": 0, "optics": {"noise": 0.0}}
+OPTIONS = {"scene": "spheres", "live": True, "layout": {"scale": 0.0625}, "rate_hz": 0, "optics": {"noise": 0.0}}
 BOARD = {**OPTIONS, "scene": "board", "board": "circles:5x4:60:36", "poses": 3}
 
 

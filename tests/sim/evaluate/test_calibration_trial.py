@@ -10,29 +10,23 @@ import pytest
 from pipeline.rig.calibration import Calibration
 from sim.evaluate.calibration_trial import trial_scores, true_calibration
 from sim.rig.disturbance import Disturbance, TrueRig
-from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.shapes import rotation_about
 
 
-@pytest.fixture(scope="module")
-def quarter():
-    return RigLayout().scaled(0.25)
-
-
-def test_the_true_calibration_needs_no_motion_and_a_wrong_one_shows(quarter):
+def test_the_true_calibration_needs_no_motion_and_a_wrong_one_shows(small):
     optics = Optics(gamma=2.2)
-    true = true_calibration(quarter, optics)
-    found = trial_scores(true, quarter, optics, scenes=("plane", "spheres"))
+    true = true_calibration(small, optics)
+    found = trial_scores(true, small, optics, scenes=("plane", "spheres"))
     for result in found.values():
         assert result.score.reconstructed > 0.8
         assert result.alignment.angle_deg < 0.02
         assert result.alignment.shift_mm < 0.1
         assert result.alignment.scale == pytest.approx(1, abs=3e-4)
-    disturbed = TrueRig.of(quarter, optics).after(Disturbance("right", turn_deg=(0.0, 0.1, 0.0))).right
+    disturbed = TrueRig.of(small, optics).after(Disturbance("right", turn_deg=(0.0, 0.1, 0.0))).right
     wrong = Calibration(true.left, disturbed, true.projector, true.left_color, true.right_color, true.response)
     assert (
-        trial_scores(wrong, quarter, optics, scenes=("spheres",))["spheres"].score.rms_mm
+        trial_scores(wrong, small, optics, scenes=("spheres",))["spheres"].score.rms_mm
         > found["spheres"].score.rms_mm
     )
 

@@ -12,7 +12,7 @@ from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene import named_scenes
 
-SMALL = RigLayout().scaled(0.125)
+SMALL = RigLayout().scaled(0.0625)
 CASES = {
     "standard": ("mixed", Optics(), "rgb8", 0.0),
     "every fault": ("steps", Optics.realistic(), "bayer_rggb8", 0.0),
