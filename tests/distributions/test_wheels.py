@@ -95,10 +95,11 @@ def foreign(tmp_path: Path) -> Path:
     return site
 
 
-def install(site: Path, wheel: Path) -> Path:
+def install(site: Path, *wheels: Path) -> Path:
     python = site.parents[2] / "bin/python"
     command = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet", "--no-deps", "--no-index"]
-    subprocess.run([*command, str(wheel)], check=True, capture_output=True)
+    command += ["--no-compile"]
+    subprocess.run([*command, *map(str, wheels)], check=True, capture_output=True)
     (site / "others.pth").write_text(f"{sysconfig.get_paths()['purelib']}\n")
     return python
 
@@ -122,8 +123,7 @@ def test_a_foreign_package_stays_whole_beside_the_client(foreign: Path, wheels: 
 
 
 def test_the_commands_name_a_foreign_package(foreign: Path, wheels: dict[str, Path]) -> None:
-    install(foreign, wheels["fringed"])
-    python = install(foreign, wheels["fringed_rig"])
+    python = install(foreign, wheels["fringed"], wheels["fringed_rig"])
     assert module(python, "--version").stdout == "fringed 0.1.0\n"
     assert module(python, "-h").returncode == 0
     (foreign / "daemon/__init__.py").write_text('"""Another program, installed later."""\n')

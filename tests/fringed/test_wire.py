@@ -113,7 +113,7 @@ def test_a_header_over_the_limit_is_not_sent() -> None:
         wire.encode("t", wire.Header(kind="status", data={"long": "x" * 5000}))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(data=st.data(), topic=st.sampled_from(["cloud/full", "cloud/depth"]))
 def test_a_damaged_message_raises_nothing_but_a_wire_error(data: st.DataObject, topic: str) -> None:
     frames = [bytearray(frame) for frame in frames_of(topic)]

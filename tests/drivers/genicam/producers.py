@@ -33,8 +33,9 @@ class Ability:
 
     Args:
         name: of the producer. cameras: how many it has. select: options that fit exactly one of them.
-        several: options that fit more than one. trigger: how frames are had in a test. model, size, encoding: of the
-            selected one. stamps: frames carry the camera's time. latches: the camera's clock can be read.
+        spare: options that fit exactly one other. several: options that fit more than one.
+        trigger: how frames are had in a test. model, size, encoding: of the selected one.
+        stamps: frames carry the camera's time. latches: the camera's clock can be read.
         ids: it counts frames. holes: the count may jump, as it runs freely faster than it is read.
         exclusive: a second process is refused. temperature: it has a thermometer.
     """
@@ -42,6 +43,7 @@ class Ability:
     name: str
     cameras: int
     select: dict[str, Any]
+    spare: dict[str, Any]
     several: dict[str, Any]
     trigger: dict[str, Any]
     model: str
@@ -61,6 +63,7 @@ OURS = Ability(
     name="ours",
     cameras=2,
     select={"serial": "A1"},
+    spare={"serial": "A2"},
     several={"model": "FringedCam"},
     trigger=SOFTWARE,
     model="FringedCam",
@@ -74,6 +77,7 @@ OURS_OLD = Ability(
     name="ours_old",
     cameras=2,
     select={"serial": "A1"},
+    spare={"serial": "A2"},
     several={"model": "FringedCam"},
     trigger=SOFTWARE,
     model="FringedCam",
@@ -86,6 +90,7 @@ VIKY = Ability(
     name="viky",
     cameras=3,
     select={"serial": "0"},
+    spare={"serial": "1"},
     several={"model": "Viky"},
     trigger={"source": "free_run"},
     model="Viky",
@@ -100,6 +105,7 @@ TLSIMU = Ability(
     name="tlsimu",
     cameras=4,
     select={"serial": "SN_InterfaceA_0"},
+    spare={"serial": "SN_InterfaceA_1"},
     several={"model": "TLSimuMono"},
     trigger=SOFTWARE,
     model="TLSimuMono",

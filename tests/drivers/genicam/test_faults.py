@@ -124,7 +124,7 @@ def test_a_stall_of_two_seconds_changes_no_time_and_loses_nothing(running: tuple
     times = [at + k * 50_000_000 for k in range(5)]
     for t_ns in times:
         assert cable.pulse(t_ns)
-    found = pending(camera, 3.0)
+    found = [frame for _ in times if (frame := camera.read(5.0)) is not None]
     assert [frame.trigger for frame in found] == [5, 6, 7, 8, 9]
     for frame, t_ns in zip(found, times, strict=True):
         assert frame.t_host_ns - frame.t_exposure_ns > 1_500_000_000
@@ -161,6 +161,7 @@ def test_exposure_times_follow_a_clock_that_drifts(running: tuple[Cable, Camera]
         frame = camera.read(5.0)
         assert frame is not None
         assert abs(frame.t_exposure_ns - shift - t_ns) < 1_000_000
+        time.sleep(0.02)  # the clock drifts with the time, not with the number of pulses
 
 
 def test_a_camera_clock_that_was_reset_is_determined_again(running: tuple[Cable, Camera]) -> None:

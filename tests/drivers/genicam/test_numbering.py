@@ -66,7 +66,7 @@ def test_a_counter_that_restarts_in_between_continues_by_one() -> None:
     assert numbers.resets == 1
 
 
-@given(st.lists(st.integers(1, 3), min_size=5, max_size=40))
+@given(st.lists(st.integers(1, 3), min_size=5, max_size=20))
 def test_without_a_counter_regular_times_reveal_the_gaps(steps: list[int]) -> None:
     for frame_id in (None, 0):
         numbers = TriggerNumbers()

@@ -63,8 +63,17 @@ def gone(pid: int, within_s: float = 10.0) -> bool:
         os.close(watched)
 
 
-@pytest.mark.parametrize("encoding", ["mono8", "mono16", "rgb8"])
-@pytest.mark.parametrize("own_memory", [False, True])
+@pytest.mark.parametrize(
+    ("encoding", "own_memory"),
+    [
+        ("mono16", True),
+        ("rgb8", False),
+        *(
+            pytest.param(*each, marks=pytest.mark.long)
+            for each in (("mono8", False), ("mono8", True), ("mono16", False), ("rgb8", True))
+        ),
+    ],
+)
 def test_frames_arrive_whole_in_order_and_read_only(camera: Any, encoding: str, own_memory: bool) -> None:
     remote = camera(frames=40, encoding=encoding, own_memory=own_memory)
     assert isinstance(remote, Camera)
@@ -203,7 +212,9 @@ def test_opening_reports_why_it_failed(
     assert remote.pid is None
 
 
-@pytest.mark.parametrize("then", ["lost", "exit", "kill", "hang", "hold_lock"])
+@pytest.mark.parametrize(
+    "then", ["kill", "hold_lock", *(pytest.param(each, marks=pytest.mark.long) for each in ("lost", "exit", "hang"))]
+)
 def test_any_end_of_the_process_is_a_lost_device_and_opening_starts_another(camera: Any, then: str) -> None:
     remote = camera(frames=3, then=then)
     remote.open()
@@ -272,14 +283,14 @@ def test_what_the_process_prints_goes_to_the_log(
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_signals_for_the_daemon_do_not_end_the_camera(camera: Any, number: int) -> None:
+def test_signals_for_the_daemon_do_not_end_the_camera(camera: Any) -> None:
     remote = camera(frames=10**9)
     remote.open()
     remote.start()
     assert remote.pid is not None
-    os.kill(remote.pid, number)
-    frames(remote, 20)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(remote.pid, number)
+        frames(remote, 20)
 
 
 PARENT = """
@@ -295,7 +306,7 @@ time.sleep(600)
 """
 
 
-@pytest.mark.parametrize("then", ["nothing", "hold_lock"])
+@pytest.mark.parametrize("then", [pytest.param("nothing", marks=pytest.mark.long), "hold_lock"])
 def test_the_process_ends_when_the_daemon_is_killed(then: str) -> None:
     with subprocess.Popen([sys.executable, "-c", PARENT, then], stdout=subprocess.PIPE, text=True) as parent:
         try:
@@ -323,7 +334,7 @@ def test_closing_twice_is_allowed(camera: Any) -> None:
     remote.close()
 
 
-@pytest.mark.parametrize("openings", [10, pytest.param(50, marks=pytest.mark.long)])
+@pytest.mark.parametrize("openings", [4, pytest.param(50, marks=pytest.mark.long)])
 def test_nothing_is_left_behind_by_many_openings(camera: Any, openings: int) -> None:
     def held() -> tuple[int, int, int, list[str]]:
         files = open_files()
