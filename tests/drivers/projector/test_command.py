@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from daemon.cli import entry
 from drivers.projector import images
 from sim.box.xserver import XServer
 from tests.drivers.projector import x
@@ -20,6 +21,7 @@ from tools.waiting import wait_until
 
 FRINGED = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 Run = Callable[..., subprocess.CompletedProcess[str]]
+RunHere = Callable[..., tuple[int, str, str]]
 
 
 def command(*arguments: str) -> list[str]:
@@ -37,14 +39,26 @@ def run(server: XServer) -> Run:
     return run
 
 
-def test_list_has_a_line_for_each_output(run: Run) -> None:
+@pytest.fixture
+def run_here(server: XServer, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> RunHere:
+    """As ``run``, in this process: exit status, output and errors."""
+    monkeypatch.setenv("DISPLAY", server.display)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        status = entry.run(["projector", *arguments])
+        return status, *capsys.readouterr()
+
+    return run
+
+
+def test_list_has_a_line_for_each_output(run: Run, run_here: RunHere) -> None:
     done = run("list")
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
         "DUMMY0: 640x480 at +0+0, 60.000 Hz, native 640x480, gamma linear, primary",
         "DUMMY1: 320x256 at +640+0, 59.943 Hz, native 320x256, gamma linear",
     ]
-    assert "DUMMY2: no connected device" in run("list", "--all").stdout
+    assert "DUMMY2: no connected device" in run_here("list", "--all")[1]
 
 
 def test_the_test_image_stands_until_it_is_interrupted(server: XServer) -> None:
@@ -81,7 +95,7 @@ def test_a_png_of_the_right_size_is_shown_from_a_rig_file_that_is_not_complete(
     assert np.array_equal(np.load(tmp_path / "seen.npy"), image)
 
 
-def test_images_that_are_not_exact_are_refused(run: Run, tmp_path: Path) -> None:
+def test_images_that_are_not_exact_are_refused(run_here: RunHere, tmp_path: Path) -> None:
     small, deep, clear = (
         np.zeros((8, 8, 3), np.uint8),
         np.zeros((256, 320), np.uint16),
@@ -96,14 +110,14 @@ def test_images_that_are_not_exact_are_refused(run: Run, tmp_path: Path) -> None
         ("lossy.jpg", "expected an 8-bit PNG"),
         ("none.png", "none.png: No such file"),
     ):
-        done = run("show", str(tmp_path / name), "--output", "DUMMY1", "--seconds", "0.1")
-        assert done.returncode == (1 if name == "small.png" else 2) and complaint in done.stderr, done.stderr
+        status, _, errors = run_here("show", str(tmp_path / name), "--output", "DUMMY1", "--seconds", "0.1")
+        assert status == (1 if name == "small.png" else 2) and complaint in errors, errors
 
 
-def test_wrong_usage_and_wrong_rigs_are_reported(run: Run, tmp_path: Path) -> None:
-    assert run("show", "white").returncode == 2
-    done = run("test", "--output", "HDMI-9")
-    assert done.returncode == 1 and "there are: DUMMY0, DUMMY1" in done.stderr
+def test_wrong_usage_and_wrong_rigs_are_reported(run_here: RunHere, tmp_path: Path) -> None:
+    assert run_here("show", "white")[0] == 2
+    status, _, errors = run_here("test", "--output", "HDMI-9")
+    assert status == 1 and "there are: DUMMY0, DUMMY1" in errors
     rig = tmp_path / "rig.yaml"
     for text, complaint in (
         ("projector: {driver: pyglet, options: {output: a, outptu: b}}", "projector.outptu: no such option"),
@@ -112,8 +126,8 @@ def test_wrong_usage_and_wrong_rigs_are_reported(run: Run, tmp_path: Path) -> No
         ("projector: [", "YAML syntax"),
     ):
         rig.write_text(text)
-        done = run("off", "--rig", str(rig))
-        assert done.returncode == 2 and complaint in done.stderr and "Traceback" not in done.stderr
+        status, _, errors = run_here("off", "--rig", str(rig))
+        assert status == 2 and complaint in errors and "Traceback" not in errors
 
 
 def test_off_runs_the_commands_of_an_external_projector(run: Run, tmp_path: Path) -> None:

@@ -66,7 +66,9 @@ def test_a_gamma_table_that_is_not_linear_is_refused(
     assert np.array_equal(x.gamma(own_server, "DUMMY1"), bent), "a refusal changes nothing"
 
 
-@pytest.mark.parametrize("killed", [False, True], ids=["in peace", "after a kill"])
+@pytest.mark.parametrize(
+    "killed", [pytest.param(False, marks=pytest.mark.long), True], ids=["in peace", "after a kill"]
+)
 def test_a_gamma_table_is_reset_and_restored(
     own_server: XServer, projector: Make, bent: np.ndarray[Any, Any], killed: bool
 ) -> None:
