@@ -144,7 +144,7 @@ def test_an_installed_wheel_compiles_nothing(tmp_path: Path, monkeypatch: pytest
     jobs = [job for job in measuring_jobs("rgb8") if job.startswith(MEASURE) and "uniqueness" in job]
     compile_archive(release.levels()[0], tmp_path / "kernels", jobs)
     wheels = build_wheels(tmp_path, tmp_path / "kernels")
-    python = new_environment(tmp_path / "env", wheels, ["--no-deps", "--no-index"])
+    python = new_environment(tmp_path / "env", wheels, ["--no-deps", "--no-index", "--no-compile"])
     (own,) = (tmp_path / "env").glob("lib/python3.*/site-packages")
     (own / "others.pth").write_text(f"{sysconfig.get_paths()['purelib']}\n")  # all other packages, of this environment
     assert compilations(python, tmp_path, release.levels()[0], jobs) == (0, "")

@@ -16,7 +16,7 @@ from tests.daemon.monitoring.calibration_drift.test_running_daemon import LIVE, 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_a_turned_camera_is_reported_at_once_and_its_clouds_hold_no_point(tmp_path: Path):
-    with running(tmp_path, LIVE | {"scene": "mixed"}) as (made, service, trigger):
+    with running(tmp_path, LIVE | {"scene": "mixed", "layout": {"scale": 0.5}}) as (made, service, trigger):
         trigger()
         status = service.status()
         assert status.calibration_check["verdict"] == "consistent", status.calibration_check

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from daemon.cli.entry import run
 from fringed.control.client import ControlClient
 from fringed.errors import ControlError
 from tests.daemon.remote_access import listening_addresses
@@ -44,8 +45,9 @@ class Running:
         self.folder, self.fringed = folder, fringed
         (folder / "rig.yaml").write_text(RIG.format(tmp=folder))
         for name, role in (("screen", "view"), ("boss", "operate")):
-            assert fringed("keys", "new", name, "--to", str(folder)).returncode == 0
-            self.keys("allow", str(folder / f"{name}.pub"), "--control", role)
+            assert run(["keys", "new", name, "--to", str(folder)]) == 0
+            allow = ["keys", "allow", str(folder / f"{name}.pub"), "--control", role]
+            assert run([*allow, "--rig", str(folder / "rig.yaml")]) == 0
         self.log = (folder / "log").open("w")
         command = [sys.executable, "-c", _FRINGED, "run", str(folder / "rig.yaml"), "--record", "first"]
         self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=self.log, stderr=self.log)

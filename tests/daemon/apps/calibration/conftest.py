@@ -56,10 +56,10 @@ def images(tmp_path: Path, session_folder: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def capture_folder(tmp_path_factory: pytest.TempPathFactory, board: Board, true_rig: Cameras) -> Path:
-    """A capture folder with fringes, five poses of the board."""
+    """A capture folder with fringes, four poses of the board."""
     folder = tmp_path_factory.mktemp("capture") / "fringes"
     sequence = projector_sequence(drawn.PROJECTOR, steps=4)
-    drawn.write_capture(folder, true_rig, board, drawn.poses(board, 5, seed=1), sequence, seed=1)
+    drawn.write_capture(folder, true_rig, board, drawn.poses(board, 4, seed=1), sequence, seed=1)
     return folder
 
 

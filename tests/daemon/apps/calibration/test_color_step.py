@@ -14,8 +14,9 @@ from daemon.cli.command_table import invoke
 from daemon.cli.entry import run
 from daemon.rig.calibration_file import read_calibration
 from pipeline.calibrate.color import color_sequence
+from pipeline.calibrate.targets.board.board import Board
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import FrameSequence
+from pipeline.pattern.sequence import FrameSequence, projector_sequence
 from pipeline.rig.calibration import Cameras
 from pipeline.rig.camera_model import CameraModel
 from tests.daemon.apps.calibration import drawn
@@ -42,12 +43,13 @@ def write_session(folder: Path, rig: Cameras, sequence: FrameSequence) -> None:
     (folder / "capture.json").write_text(json.dumps({"encoding": "rgb8", "sequence": sequence.as_mapping()}))
     assert rig.projector is not None
     rng = np.random.default_rng(5)
+    lights = [((np.ascontiguousarray(frame.image()) / 255.0) ** GAMMA).astype(np.float32) for frame in sequence.frames]
     for side, device in (("left", rig.left), ("right", rig.right)):
         at = lit(device, rig.projector)
-        for n, frame in enumerate(sequence.frames):
-            light = (np.ascontiguousarray(frame.image()) / 255.0) ** GAMMA
-            received = cv2.remap(light.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
-            counts = BLACK + 175 * received @ MIX[side].T + rng.normal(0, 0.7, received.shape)
+        for n, light in enumerate(lights):
+            received = cv2.remap(light, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+            counts = BLACK + cv2.transform(received, 175 * MIX[side])
+            counts += 0.7 * rng.standard_normal(received.shape, np.float32)
             drawn.write_png(view / f"{side}_{n:02d}.png", np.clip(np.rint(counts), 0, 255).astype(np.uint8))
 
 
@@ -96,11 +98,13 @@ def test_colours_need_a_calibrated_projector(
 
 
 def test_fringes_for_geometry_are_no_colours(
-    tmp_path: Path, capture_folder: Path, truth_file: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, board: Board, true_rig: Cameras, truth_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / "calibration.yaml"
+    path, folder = tmp_path / "calibration.yaml", tmp_path / "fringes"
     path.write_bytes(truth_file.read_bytes())
-    assert run(["calibrate", "color", "--views", str(capture_folder), "--calibration", str(path)]) == 2
+    sequence = projector_sequence(drawn.PROJECTOR, steps=4)
+    drawn.write_capture(folder, true_rig, board, drawn.poses(board, 1), sequence)
+    assert run(["calibrate", "color", "--views", str(folder), "--calibration", str(path)]) == 2
     assert "no sequence of uniform colours" in capsys.readouterr().err
 
 

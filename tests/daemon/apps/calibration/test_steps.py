@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
+import shutil
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -50,14 +53,22 @@ def check_report(path: Path, *expected: str) -> None:
     assert all(link.startswith("data:image/jpeg;base64,") for link in links)
 
 
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory, session_folder: Path) -> tuple[Path, str]:
+    """A folder with the results of the command on the session, and what it printed."""
+    folder, output = tmp_path_factory.mktemp("calibrated"), io.StringIO()
+    out, report = folder / "calibration.yaml", folder / "report.html"
+    with redirect_stdout(output):
+        assert invoke(cameras_command(session_folder, "--out", str(out), "--report", str(report))) == 0
+    return folder, output.getvalue()
+
+
 def test_cameras_are_calibrated_with_the_command_of_the_manual(
-    images: Path, true_rig: Cameras, capsys: pytest.CaptureFixture[str]
+    calibrated: tuple[Path, str], session_folder: Path, true_rig: Cameras
 ) -> None:
-    out, report = images / "calibration.yaml", images / "report.html"
-    assert invoke(cameras_command(images, "--out", str(out), "--report", str(report))) == 0
-    output = capsys.readouterr()
-    assert "10 views used, 0 left out" in output.out
-    file = read_cameras(out)
+    folder, output = calibrated
+    assert "10 views used, 0 left out" in output
+    file = read_cameras(folder / "calibration.yaml")
     quality = file.mapping["quality"]
     assert all(name in quality for name in NAMES)
     assert quality["views_used"] == 10
@@ -73,19 +84,22 @@ def test_cameras_are_calibrated_with_the_command_of_the_manual(
     # Both cameras together, relative to the left one: the error that affects a measurement.
     assert abs(file.cameras.baseline_mm - true_rig.baseline_mm) < 5 * sigma["baseline_mm"]
     assert quality["epipolar_px"] < 0.05
-    check_report(report, "Coverage", "Residuals", "translation_x", "std. dev.", "Errors by view", "00, left")
-    assert sorted(path.name for path in images.iterdir()) == ["L", "R", "calibration.yaml", "report.html"]
+    parts = "Coverage", "Residuals", "translation_x", "std. dev.", "Errors by view", "00, left"
+    check_report(folder / "report.html", *parts)
+    assert sorted(path.name for path in folder.iterdir()) == ["calibration.yaml", "report.html"]
+    assert sorted(path.name for path in session_folder.iterdir()) == ["L", "R"]
 
 
-def test_a_second_calibration_keeps_the_first_one_and_compares_with_it(images: Path) -> None:
-    out = images / "calibration.yaml"
-    command = cameras_command(images, "--out", str(out))
-    assert invoke(command) == 0
+def test_a_second_calibration_keeps_the_first_one_and_compares_with_it(
+    tmp_path: Path, calibrated: tuple[Path, str], session_folder: Path
+) -> None:
+    out = tmp_path / "calibration.yaml"
+    shutil.copy(calibrated[0] / "calibration.yaml", out)
     first = out.read_bytes()
-    assert invoke(command) == 0
-    kept = list(images.glob("calibration.2*.yaml"))
+    assert invoke(cameras_command(session_folder, "--out", str(out))) == 0
+    kept = list(tmp_path.glob("calibration.2*.yaml"))
     assert [path.read_bytes() for path in kept] == [first]
-    check_report(images / "calibration.report.html", "Before: 2", "in std. dev.")
+    check_report(tmp_path / "calibration.report.html", "Before: 2", "in std. dev.")
 
 
 def test_projector_and_cameras_are_solved_together(
@@ -99,7 +113,7 @@ def test_projector_and_cameras_are_solved_together(
     rig = read_calibration(out).calibration
     quality = yaml.safe_load(out.read_text())["quality"]
     assert quality["rms_projector_px"] < 0.05
-    assert quality["views_used"] == 15
+    assert quality["views_used"] == 14
     assert 0 <= quality["order_merit"] <= 1
     assert quality["trinocular_px"] < 0.05
     true = true_rig.complete()
@@ -119,7 +133,7 @@ def test_cameras_are_calibrated_from_the_white_frames_of_a_capture(
     assert invoke(command) == 0
     page = (tmp_path / "calibration.report.html").read_text()
     assert page.count("<image") == 4
-    assert "The worst views are shown, 6 images are omitted." in page
+    assert "The worst views are shown, 4 images are omitted." in page
     file = read_cameras(out)
     assert file.cameras.projector is None
     assert file.cameras.baseline_mm == pytest.approx(true_rig.baseline_mm, rel=1e-3)
@@ -138,31 +152,28 @@ def test_a_distance_on_the_board_sets_the_scale(tmp_path: Path, capture_folder: 
 def test_the_real_chessboard_pairs_are_calibrated(tmp_path: Path, shared_data: Callable[..., Path]) -> None:
     folder = shared_data("chessboard_stereo")
     out = tmp_path / "calibration.yaml"
-    pairs = ["--left", str(folder / "left0[1-8].jpg"), "--right", str(folder / "right0[1-8].jpg")]
+    pairs = ["--left", str(folder / "left0[1-5].jpg"), "--right", str(folder / "right0[1-5].jpg")]
     assert invoke(["calibrate", "cameras", *pairs, "--board", "chessboard:9x6:25", "--out", str(out)]) == 0
     quality = read_cameras(out).mapping["quality"]
-    assert quality["views_used"] + quality["views_rejected"] == 8
-    assert quality["views_used"] >= 7
+    assert quality["views_used"] + quality["views_rejected"] == 5
+    assert quality["views_used"] >= 4
     assert quality["rms_stereo_px"] < 0.25
     check_report(tmp_path / "calibration.report.html", "left01", "baseline")
 
 
 def test_the_calibration_measures_the_true_distances(
-    images: Path, capsys: pytest.CaptureFixture[str], truth_file: Path
+    calibrated: tuple[Path, str], session_folder: Path, capsys: pytest.CaptureFixture[str], truth_file: Path
 ) -> None:
-    out = images / "calibration.yaml"
-    assert invoke(cameras_command(images, "--out", str(out))) == 0
-    capsys.readouterr()
     view = [
         "--left",
-        str(images / "L" / "04.png"),
+        str(session_folder / "L" / "04.png"),
         "--right",
-        str(images / "R" / "04.png"),
+        str(session_folder / "R" / "04.png"),
         "--board",
         BOARD,
         "--json",
     ]
-    for file in (out, truth_file):
+    for file in (calibrated[0] / "calibration.yaml", truth_file):
         assert invoke(["calibrate", "check", "--calibration", str(file), *view]) == 0
         (found,) = json.loads(capsys.readouterr().out)
         assert found["marks"] == 63

@@ -31,14 +31,22 @@ def take(tmp_path_factory: pytest.TempPathFactory, images: Images) -> Path:
     return write(tmp_path_factory.mktemp("takes") / "part7.mcap", images, 11)
 
 
+@pytest.fixture(scope="module")
+def of_a_replay(take: Path) -> tuple[dict[str, bytes], list[dict[str, Any]]]:
+    """The clouds and verdicts of a replay of the take."""
+    return replayed(take)
+
+
 def verdicts_in(folder: Path) -> list[dict[str, object]]:
     rows = json.loads((folder / "summary.json").read_text())["per_pair"]
     return [{"sequence": row["sequence"], "consistency": row["consistency"]} for row in rows]
 
 
-@pytest.mark.parametrize("chunk_pairs", [1, 2, 5, 100])
-def test_clouds_and_verdicts_are_those_of_a_replay(take: Path, tmp_path: Path, chunk_pairs: int) -> None:
-    files, verdicts = replayed(take)
+@pytest.mark.parametrize("chunk_pairs", [1, pytest.param(2, marks=pytest.mark.long), 5, 100])
+def test_clouds_and_verdicts_are_those_of_a_replay(
+    take: Path, of_a_replay: tuple[dict[str, bytes], list[dict[str, Any]]], tmp_path: Path, chunk_pairs: int
+) -> None:
+    files, verdicts = of_a_replay
     totals = reprocess([take], tmp_path, chunk_pairs=chunk_pairs)
     assert not totals.failures
     assert files_of(tmp_path / "part7") == files

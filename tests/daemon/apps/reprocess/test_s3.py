@@ -5,11 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from daemon.apps.reprocess.engine.dask_engine import connected
+from daemon.apps.reprocess.engine.dask_engine import DaskEngine, connected
 from daemon.apps.reprocess.job import Job
 from daemon.apps.reprocess.locations import location, read_if_there, write_whole
 from daemon.apps.reprocess.plan.recordings import recordings_of
@@ -60,7 +61,27 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Failing]:
     thread.join()
 
 
-@pytest.mark.parametrize(("workers", "outage_s"), [(1, 3), pytest.param(2, 10, marks=pytest.mark.long)])
+@contextmanager
+def started(workers: int, folder: Path) -> Iterator[DaskEngine]:
+    """A cluster with so many worker processes; with none, its only worker is a thread of this process."""
+    from distributed import Client, LocalCluster
+
+    if workers:
+        with (
+            cluster.scheduler(folder) as (_, address),
+            cluster.workers(address, workers, folder),
+            connected(address) as engine,
+        ):
+            yield engine
+    else:
+        with (
+            LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as local,
+            Client(local, set_as_default=False) as client,
+        ):
+            yield DaskEngine(client)
+
+
+@pytest.mark.parametrize(("workers", "outage_s"), [(0, 3), pytest.param(2, 10, marks=pytest.mark.long)])
 def test_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
     store: Failing, tmp_path: Path, images: list[small_take.Images], workers: int, outage_s: float
 ) -> None:
@@ -75,11 +96,7 @@ def test_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
         if store.until_s == 0 and getattr(totals, "computed", 0) > 2:
             store.until_s = time.monotonic() + outage_s
 
-    with (
-        cluster.scheduler(tmp_path) as (_, address),
-        cluster.workers(address, workers, tmp_path),
-        connected(address) as engine,
-    ):
+    with started(workers, tmp_path) as engine:
         run = Run(Job(chunk_pairs=2), location("s3://rig/out"), engine, observe=fail_once)
         totals = run.run(recordings_of(["s3://rig/in"]))
         assert not totals.failures, totals.failures

@@ -17,7 +17,10 @@ from sim.rig.layout import RigLayout
 from tools.waiting import wait_until
 
 EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "calibrate-sim.yaml"
-
+SCALE, BOARD = 0.25, "circles:11x9:32:20"
+"""Of the example."""
+SMALL = 0.15, "circles:8x6:46:30"
+"""Fewer pixels, and marks that are large enough for them."""
 
 PROGRAM = "from daemon.cli.entry import main; main()"
 DAEMON = """
@@ -33,9 +36,9 @@ with StopFlag().on_signals() as flag:
 """
 
 
-def rig_file(tmp_path: Path, *, poses: int) -> Path:
+def rig_file(tmp_path: Path, *, poses: int, scale: float = SCALE, board: str = BOARD) -> Path:
     data = yaml.safe_load(EXAMPLE.read_text())
-    data["simulation"] |= {"poses": poses, "rate_hz": 50.0}
+    data["simulation"] |= {"poses": poses, "rate_hz": 50.0, "board": board, "layout": {"scale": scale}}
     data |= {"control": {"endpoint": f"ipc://{tmp_path}/c"}, "stream": {"endpoints": [f"ipc://{tmp_path}/s"]}}
     rig = tmp_path / "rig.yaml"
     rig.write_text(yaml.safe_dump(data))
@@ -49,7 +52,7 @@ def state_of(client: ControlClient) -> str:
         return ""
 
 
-def calibrate(step: str, rig: Path) -> subprocess.CompletedProcess[str]:
+def calibrate(step: str, rig: Path, *more: str) -> subprocess.CompletedProcess[str]:
     command = [
         sys.executable,
         "-c",
@@ -59,6 +62,7 @@ def calibrate(step: str, rig: Path) -> subprocess.CompletedProcess[str]:
         str(rig),
         "--out",
         str(rig.parent / "calibration.yaml"),
+        *more,
     ]
     process = subprocess.run(command, capture_output=True, text=True, timeout=350, check=False)
     assert process.returncode == 0, process.stderr
@@ -67,10 +71,12 @@ def calibrate(step: str, rig: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-@pytest.mark.parametrize("poses", [3, pytest.param(4, marks=pytest.mark.long)])
-def test_everything_is_calibrated_from_start_to_file(tmp_path: Path, poses: int) -> None:
-    process = calibrate("all", rig_file(tmp_path, poses=poses))
-    found, truth = read_calibration(tmp_path / "calibration.yaml").calibration, RigLayout().scaled(0.25).calibration()
+@pytest.mark.parametrize(
+    ("scale", "board", "poses"), [(*SMALL, 3), pytest.param(SCALE, BOARD, 4, marks=pytest.mark.long)]
+)
+def test_everything_is_calibrated_from_start_to_file(tmp_path: Path, scale: float, board: str, poses: int) -> None:
+    process = calibrate("all", rig_file(tmp_path, poses=poses, scale=scale, board=board), "--board", board)
+    found, truth = read_calibration(tmp_path / "calibration.yaml").calibration, RigLayout().scaled(scale).calibration()
     assert found.baseline_mm == pytest.approx(truth.baseline_mm, rel=5e-4)
     for device in ("left", "right", "projector"):
         ours, true = getattr(found, device), getattr(truth, device)

@@ -23,7 +23,7 @@ from sim.rig.disturbance import Disturbance
 from tests.golden.make import TAKE
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
-SCALE = 0.375
+SCALE = 0.25
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_a_drift_that_several_devices_explain_requires_the_device(rig: Rig) -> N
 
 
 def test_the_command_confirms_before_it_writes(rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drift_pairs, "MOST_PAIRS", 6)
+    monkeypatch.setattr(drift_pairs, "MOST_PAIRS", 4)
     options = {"live": True, "scene": "moving", "frames": 2, "layout": {"scale": SCALE}, "rate_hz": 30.0}
     off = rotated(rig.calibration, "right", (0.0, -0.03, 0.0))
     file = tmp_path / "calibration.yaml"

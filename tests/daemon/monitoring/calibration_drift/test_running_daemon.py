@@ -27,7 +27,7 @@ from tools.waiting import wait_until
 
 STEP_S = 0.2  # of the stepped clock, a trigger: every pair is examined
 WITHIN = round(5 / STEP_S)
-LIVE = {"live": True, "scene": "face", "rate_hz": 0.0, "layout": {"scale": 0.5}}
+LIVE = {"live": True, "scene": "face", "rate_hz": 0.0, "layout": {"scale": 0.375}}
 
 
 @contextmanager

@@ -89,7 +89,7 @@ def test_a_slowly_drifting_board_is_not_still() -> None:
         assert not session.observe(observation(VIEWS[0], clock.next(), shift=0.2 * n)).capture
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.floats(0.05, 0.6), st.floats(-0.4, 0.4)), min_size=5, max_size=40))
 def test_a_captured_board_was_still_for_the_whole_time(steps: list[tuple[float, float]]) -> None:
     session, t_s, shift = new_session(), 0.0, 0.0
