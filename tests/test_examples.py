@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,18 @@ def run(name: str, *arguments: str) -> list[str]:
     return done.stdout.splitlines()
 
 
+@pytest.fixture
+def run_here(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., list[str]]:
+    """As ``run``, in this process, which has loaded the kernels; for examples that another test starts."""
+
+    def run(name: str, *arguments: str) -> list[str]:
+        monkeypatch.setattr(sys, "argv", [name, *arguments])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out.splitlines()
+
+    return run
+
+
 def points(line: str) -> int:
     return int(line.partition(": ")[2].split()[0])
 
@@ -66,13 +79,13 @@ def test_a_rig_is_operated_and_left_as_it_was(address: str) -> None:
         assert take.endswith(f": {rig.takes().takes[-1].frames[0]} pairs")
 
 
-def test_the_clouds_of_a_take_are_printed() -> None:
-    lines = run("01_clouds.py", str(TAKE))
+def test_the_clouds_of_a_take_are_printed(run_here: Callable[..., list[str]]) -> None:
+    lines = run_here("01_clouds.py", str(TAKE))
     assert [re.fullmatch(CLOUD, line)[1] for line in lines] == ["0", "1"]  # type: ignore[index]
 
 
-def test_a_take_is_read_with_another_setting() -> None:
-    head, *pairs = run("03_read_a_take.py", str(TAKE))
+def test_a_take_is_read_with_another_setting(run_here: Callable[..., list[str]]) -> None:
+    head, *pairs = run_here("03_read_a_take.py", str(TAKE))
     assert ", session " in head and len(pairs) == 2
     _, changed, *fewer = run("03_read_a_take.py", str(TAKE), "pipeline.settings.min_modulation", "60.0")
     assert changed == "pipeline.settings.min_modulation = 60.0"

@@ -46,7 +46,7 @@ def latched(
     return clock
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(drifts, offsets, seeds, st.floats(1, 100))
 def test_with_latches_times_are_true_within_the_uncertainty(ppm: float, offset: int, seed: int, seconds: float) -> None:
     rng = np.random.default_rng(seed)
@@ -89,7 +89,7 @@ def arrivals(
     return max(abs(error) for error in errors) / MS
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(drifts, offsets, seeds, st.floats(4, 90))
 def test_arrivals_alone_lead_to_the_shortest_delay(ppm: float, offset: int, seed: int, seconds: float) -> None:
     clock = DeviceClock()

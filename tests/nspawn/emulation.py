@@ -10,7 +10,7 @@ import yaml
 from sim.box.box import heads
 from sim.box.options import from_mapping
 from sim.box.xserver import configuration
-from tests.nspawn.helpers import Fringed
+from tests.nspawn.helpers import POLL_S, Fringed
 from tools.nspawn.machine import WAIT_S
 from tools.waiting import wait_until
 
@@ -32,8 +32,8 @@ _ENVIRONMENT = {
     "NUMBA_CACHE_DIR": "/var/cache/fringed/numba",
     "XAUTHORITY": "/run/fringed-x/authority",
 }
-DROP_IN = f"ReadWritePaths={FOLDER}\nEnvironment=FRINGED_GENTL_DIR={GENTL}"
-"""Settings of the units for emulated cameras, which are files where real ones are devices."""
+DROP_IN = f"ReadWritePaths={FOLDER}\nEnvironment=FRINGED_GENTL_DIR={GENTL}\nWatchdogSec=5"
+"""Settings of the units for emulated cameras, which are files where real ones are devices; half the time to wait."""
 
 
 def start_x(fringed: Fringed) -> None:
@@ -56,7 +56,10 @@ def start_box(fringed: Fringed) -> str:
     )  # fmt: skip
     try:
         wait_until(
-            lambda: any("ready:" in str(line.get("MESSAGE")) for line in fringed.machine.journal(BOX)), WAIT_S, BOX
+            lambda: any("ready:" in str(line.get("MESSAGE")) for line in fringed.machine.journal(BOX)),
+            WAIT_S,
+            BOX,
+            poll_s=POLL_S,
         )
     except Exception as error:
         raise AssertionError(f"{error}\n{fringed.machine.tail(BOX)}") from None

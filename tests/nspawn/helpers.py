@@ -17,6 +17,8 @@ from tools.waiting import wait_until
 
 SERVICE = "fringed.service"
 RIG = "/etc/fringed/rig.yaml"
+POLL_S = 0.05
+"""Between two commands, or two requests to the daemon, as each takes processor time from the service."""
 _SHOWN = "ActiveState", "SubState", "MainPID", "NRestarts", "StatusText", "Result"
 
 MARKS = [pytest.mark.nspawn, pytest.mark.xdist_group("nspawn"), pytest.mark.slow, pytest.mark.timeout(600)]
@@ -107,7 +109,7 @@ class Fringed:
             return good(last)
 
         try:
-            wait_until(probe, WAIT_S, what)
+            wait_until(probe, WAIT_S, what, poll_s=POLL_S)
         except Exception as error:
             raise AssertionError(f"{error}; status {last}\n{self.machine.tail(SERVICE)}") from None
         return last
@@ -134,6 +136,10 @@ class Fringed:
     def logged(self, text: str, since: str = "") -> bool:
         """Return whether a line of the service's journal has a text."""
         return any(text in str(line.get("MESSAGE", "")) for line in self.lines(since))
+
+    def wait_logged(self, text: str, since: str, what: str) -> None:
+        """Wait until a line of the service's journal after a cursor has a text."""
+        wait_until(lambda: self.logged(text, since), WAIT_S, what, poll_s=POLL_S)
 
     def lines(self, since: str = "") -> list[dict[str, Any]]:
         """Return its journal after a cursor."""

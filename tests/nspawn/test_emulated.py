@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.nspawn import emulation
-from tests.nspawn.helpers import MARKS, SERVICE, Fringed
+from tests.nspawn.helpers import MARKS, POLL_S, SERVICE, Fringed
 from tools.nspawn.machine import WAIT_S
 from tools.waiting import wait_until
 
@@ -120,4 +120,4 @@ def test_a_stop_leaves_no_process(running: Fringed) -> None:
         listed = running.machine.run("ps", "-u", "fringed", "-o", "unit=,args=", check=False).stdout.splitlines()
         return not [line for line in listed if SERVICE in line.split()[:1]]
 
-    wait_until(gone, WAIT_S, "the end of all processes of the service")
+    wait_until(gone, WAIT_S, "the end of all processes of the service", poll_s=POLL_S)

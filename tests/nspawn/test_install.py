@@ -88,7 +88,10 @@ def test_a_rig_file_of_the_user_is_kept(machine: Machine) -> None:
     assert (machine.root / "etc/fringed/rig.yaml.new").read_text() == rig()
 
 
-@pytest.mark.parametrize("prefix", ["/", "/usr", "/root", "opt/fringed", "/opt/../etc"])
+@pytest.mark.parametrize(
+    "prefix",
+    ["/usr", "opt/fringed", "/opt/../etc", *(pytest.param(each, marks=pytest.mark.long) for each in ("/", "/root"))],
+)
 def test_a_foreign_prefix_is_refused(machine: Machine, prefix: str) -> None:
     done = machine.fringed(*_INSTALL, "--prefix", prefix, check=False)
     assert done.returncode != 0 and "--prefix" in done.stderr

@@ -13,11 +13,13 @@ import pytest
 
 from fringed import subscribe
 from tests.nspawn.freeze import frozen, thread_of
-from tests.nspawn.helpers import MARKS, RIG, SERVICE, Fringed, rig
+from tests.nspawn.helpers import MARKS, POLL_S, RIG, SERVICE, Fringed, rig
 from tools.nspawn.machine import WAIT_S
 from tools.waiting import wait_until
 
 pytestmark = MARKS
+WATCHED = "WatchdogSec=5"
+"""Half the interval of the installed unit: the tests of the watchdog wait for it."""
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +33,7 @@ def started(installed: Fringed) -> Iterator[Fringed]:
 def running(started: Fringed) -> Fringed:
     """The service, measuring, whatever the previous test did to it."""
     if started.show()["ActiveState"] != "active":
-        started.start(rig())
+        started.start(rig(), WATCHED)
     started.wait_clouds(1)
     return started
 
@@ -51,7 +53,7 @@ def test_without_a_trigger_it_waits_and_the_status_line_reports_it(started: Frin
 
 
 def test_it_is_ready_only_with_a_first_cloud(started: Fringed) -> None:
-    started.start(rig(), wait=False)
+    started.start(rig(), WATCHED, wait=False)
     seen = {"activating": False}
 
     def ready() -> bool:
@@ -59,7 +61,7 @@ def test_it_is_ready_only_with_a_first_cloud(started: Fringed) -> None:
         seen[state] = True
         return state == "active"
 
-    wait_until(ready, WAIT_S, "the service being ready")
+    wait_until(ready, WAIT_S, "the service being ready", poll_s=POLL_S)
     assert started.status()["clouds"] >= 1
     assert seen["activating"]
 
@@ -126,7 +128,7 @@ def test_a_frozen_process_is_killed_and_restarted(running: Fringed) -> None:
     since, before = running.cursor(), running.show()
     os.kill(running.pid_outside(before["MainPID"]), signal.SIGSTOP)
     running.wait_active(not_pid=before["MainPID"])
-    wait_until(lambda: running.logged("Watchdog timeout", since), WAIT_S, "the reason")
+    running.wait_logged("Watchdog timeout", since, "the reason")
     running.wait_clouds()
 
 
@@ -135,8 +137,8 @@ def test_one_frozen_thread_triggers_the_watchdog(running: Fringed, thread: str) 
     since, before = running.cursor(), running.show()
     with frozen(thread_of(running.pid_outside(before["MainPID"]), thread)):
         running.wait_active(not_pid=before["MainPID"])
-    wait_until(lambda: running.logged("Watchdog timeout", since), WAIT_S, "the reason")
-    wait_until(lambda: running.logged("watchdog is not fed", since), WAIT_S, "the line of the journal")
+    running.wait_logged("Watchdog timeout", since, "the reason")
+    running.wait_logged("watchdog is not fed", since, "the line of the journal")
     messages = [line for line in running.lines(since) if "watchdog is not fed" in str(line.get("MESSAGE"))]
     assert thread.split("-")[-1] in messages[0]["MESSAGE"]
     running.wait_clouds()
@@ -148,7 +150,7 @@ def test_a_valid_change_takes_effect_while_it_measures(running: Fringed) -> None
     running.write(RIG, rig(pipeline={"settings": {"min_modulation": 100.0}}))
     running.machine.systemctl("reload", SERVICE)
     running.wait_status("clouds under the new setting", lambda status: status["points"] < points // 10)
-    wait_until(lambda: running.logged("reloaded", since), WAIT_S, "the line that reports it")
+    running.wait_logged("reloaded", since, "the line that reports it")
     running.write(RIG, rig())
     running.machine.systemctl("reload", SERVICE)
     running.wait_status("clouds as before", lambda status: status["points"] > points // 2)
@@ -165,7 +167,7 @@ def test_an_invalid_file_changes_nothing(running: Fringed, bad: str, reported: s
     running.write(RIG, rig() + bad)
     done = running.machine.run("systemctl", "reload", SERVICE, check=False)
     assert done.returncode != 0
-    wait_until(lambda: running.logged(reported, since), WAIT_S, "the mistake in the journal")
+    running.wait_logged(reported, since, "the mistake in the journal")
     running.wait_clouds()
     assert running.show()["MainPID"] == before["MainPID"]
     running.write(RIG, rig())
@@ -179,7 +181,7 @@ def test_a_setting_that_needs_a_restart_is_reported_and_nothing_changes(running:
     wait_until(
         lambda: any("device" in str(line.get("MESSAGE")) and "restart" in str(line.get("MESSAGE"))
                     for line in running.lines(since)),
-        WAIT_S, "what needs a restart",
+        WAIT_S, "what needs a restart", poll_s=POLL_S,
     )  # fmt: skip
     status = running.wait_clouds()
     assert status["device"] == "nspawn" and status["points"] > points // 2
@@ -192,7 +194,7 @@ def test_an_invalid_rig_is_not_retried(started: Fringed) -> None:
     started.start(rig() + "nonsense: 1\n", wait=False)
     shown = started.wait("the failed state", lambda shown: shown["ActiveState"] == "failed")
     assert shown["NRestarts"] == "0"
-    wait_until(lambda: started.logged("nonsense", since), WAIT_S, "the reason")
+    started.wait_logged("nonsense", since, "the reason")
     started.stop()
 
 
@@ -201,8 +203,8 @@ def test_a_daemon_that_ends_at_once_is_started_ten_times_within_ten_seconds(star
     started.start(rig(), "ExecStart=\nExecStart=/bin/false", wait=False)
     shown = started.wait("the end of the restarts", lambda shown: shown["ActiveState"] == "failed")
     assert shown["NRestarts"] == "10"
-    wait_until(lambda: started.logged("Start request repeated too quickly", since), WAIT_S, "the reason")
-    started.start(rig())  # after reset-failed
+    started.wait_logged("Start request repeated too quickly", since, "the reason")
+    started.start(rig(), WATCHED)  # after reset-failed
 
 
 def test_a_stop_is_orderly(running: Fringed) -> None:
@@ -213,7 +215,7 @@ def test_a_stop_is_orderly(running: Fringed) -> None:
     running.machine.systemctl("stop", SERVICE)
     shown = running.show()
     assert (shown["ActiveState"], shown["Result"]) == ("inactive", "success")
-    wait_until(lambda: running.logged("stopped:", since), WAIT_S, "the last line")
+    running.wait_logged("stopped:", since, "the last line")
     assert not (running.machine.root / "run/fringed").exists()
     take = running.machine.run("fringed", "info", file).stdout
     assert "pairs" in take

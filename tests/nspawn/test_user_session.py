@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from tests.nspawn.helpers import MARKS, Fringed, rig
+from tests.nspawn.helpers import MARKS, POLL_S, Fringed, rig
 from tools.nspawn.machine import WAIT_S
 from tools.waiting import wait_until
 
@@ -32,7 +32,7 @@ class Session:
 
     def wait(self, what: str, good: Callable[[dict[str, str]], bool]) -> dict[str, str]:
         try:
-            wait_until(lambda: good(self.show()), WAIT_S, what)
+            wait_until(lambda: good(self.show()), WAIT_S, what, poll_s=POLL_S)
         except TimeoutError as error:
             journal = self.machine.run("journalctl", "--no-pager", "--lines=40").stdout
             raise AssertionError(f"{error}; {self.show()}\n{journal}") from None

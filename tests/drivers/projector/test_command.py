@@ -67,7 +67,7 @@ def test_the_test_image_stands_until_it_is_interrupted(server: XServer) -> None:
     )
     wanted = images.alignment((320, 256))
     try:
-        wait_until(lambda: np.array_equal(x.grab(server, 1), wanted), what="the image is on the output")
+        wait_until(lambda: np.array_equal(x.grab(server, 1), wanted), what="the image is on the output", poll_s=0.05)
         held.send_signal(signal.SIGINT)
         output, _ = held.communicate(timeout=30)
     finally:

@@ -38,7 +38,7 @@ def watch(shown: OutputProjector) -> tuple[list[str], Callable[[], None]]:
     over = threading.Event()
 
     def poll() -> None:
-        while not over.wait(0.001):
+        while not over.wait(0.005):
             if (problem := shown.problem()) and problem not in problems:
                 problems.append(problem)
 

@@ -72,18 +72,18 @@ def test_a_camera_that_stalls_for_longer_than_a_frame_waits(measuring: tuple[Box
     box, daemon = measuring
     before = daemon.step_until_pair()
 
-    def fate(side: Side, name: str) -> int:
+    def outcomes(side: Side, name: str) -> int:
         return daemon.service.status().cameras[side].fates.get(name, 0)
 
-    late, single = fate("left", "late"), fate("right", "partner_missing")
+    late, single = outcomes("left", "late"), outcomes("right", "partner_missing")
     longest_s = daemon.service.config.pairing.max_wait_ms / 1e3
     box.cables["left"].stall(max(2.0, longest_s + 0.5))
     for _ in range(4):
         box.world.step(settle=False)
     box.world.settle()
-    wait_until(lambda: fate("left", "late") == late + 4, 30, "late frames")
+    wait_until(lambda: outcomes("left", "late") == late + 4, 30, "late frames")
     assert daemon.pair_check.last_pair == before
-    assert fate("right", "partner_missing") == single + 4
+    assert outcomes("right", "partner_missing") == single + 4
     assert daemon.step_until_pair() == before + 5
     assert daemon.state() == "running" and no_wrong_pair(daemon)
 

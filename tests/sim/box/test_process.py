@@ -61,7 +61,7 @@ def test_a_box_measures_until_interrupted(tmp_path: Path) -> None:
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
     )
     try:
-        wait_until(lambda: process.poll() is not None or clouds_measured(folder) > 5, 100, "clouds")
+        wait_until(lambda: process.poll() is not None or clouds_measured(folder) > 5, 100, "clouds", poll_s=0.1)
         with closing(subscribe(f"ipc://{folder}/stream", timeout_s=30)) as clouds:
             assert len(next(clouds).points) > 5000
         # As a terminal does with Ctrl-C.

@@ -51,9 +51,26 @@ def test_pairs_go_round_and_cannot_be_written(options):
         assert not image.flags.writeable
 
 
-@pytest.mark.parametrize("name", ["left.npy", "right.npy", "loop.json"])
-@pytest.mark.parametrize("spoil", ["cut", "flip", "remove"])
-def test_a_spoiled_cache_is_rendered_again(name, spoil, options):
+@pytest.mark.parametrize(
+    ("spoil", "name"),
+    [
+        ("cut", "left.npy"),
+        ("flip", "right.npy"),
+        ("flip", "loop.json"),
+        ("remove", "loop.json"),
+        *(
+            pytest.param(*each, marks=pytest.mark.long)
+            for each in (
+                ("flip", "left.npy"),
+                ("remove", "left.npy"),
+                ("cut", "right.npy"),
+                ("remove", "right.npy"),
+                ("cut", "loop.json"),
+            )
+        ),
+    ],
+)
+def test_a_spoiled_cache_is_rendered_again(spoil, name, options):
     first, _ = rendered(options)
     expected = np.array(first.left)
     (folder,) = options.cache_dir.glob("loop-*")

@@ -26,8 +26,7 @@ def test_the_true_calibration_needs_no_motion_and_a_wrong_one_shows(small):
     disturbed = TrueRig.of(small, optics).after(Disturbance("right", turn_deg=(0.0, 0.1, 0.0))).right
     wrong = Calibration(true.left, disturbed, true.projector, true.left_color, true.right_color, true.response)
     assert (
-        trial_scores(wrong, small, optics, scenes=("spheres",))["spheres"].score.rms_mm
-        > found["spheres"].score.rms_mm
+        trial_scores(wrong, small, optics, scenes=("spheres",))["spheres"].score.rms_mm > found["spheres"].score.rms_mm
     )
 
 

@@ -123,7 +123,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     process = subprocess.Popen(command, cwd=folder, env=environment, stderr=subprocess.DEVNULL)
     try:
         with ControlClient(f"ipc://{folder}/fringed/control", timeout_s=1.0) as client:
-            wait_until(lambda: process.poll() is not None or state(client) == "running", 100)
+            wait_until(lambda: process.poll() is not None or state(client) == "running", 100, poll_s=0.05)
         yield folder
     finally:
         process.terminate()
