@@ -108,15 +108,26 @@ def test_a_wrong_input_is_answered_by_one_sentence_and_status_2(line: str, capsy
     expect_one_sentence(line, entry.run(line.split()), capsys.readouterr().err)
 
 
-def test_a_rig_file_is_answered_by_one_line_for_each_mistake(folder: Path) -> None:
-    status, answer, _ = fringed(folder, "run", "bad.yaml")
-    assert status == 2
+@pytest.mark.usefixtures("at_the_prompt")
+def test_a_rig_file_is_answered_by_one_line_for_each_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+    assert entry.run(["run", "bad.yaml"]) == 2
+    answer = capsys.readouterr().err
     positions = [row.removeprefix("fringed: ").split(": ")[0] for row in answer.splitlines()]
     assert positions == ["bad.yaml:2:21", "bad.yaml:2:37", "bad.yaml:2:50", "bad.yaml:2:72"], answer
 
 
 @pytest.mark.alone
-@pytest.mark.parametrize("line", ["mode", "record stop", "replay", "run nope.yaml", "demo --scene nosuch", "view"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        pytest.param("mode", marks=pytest.mark.long),
+        "record stop",
+        "replay",
+        "run nope.yaml",
+        "demo --scene nosuch",
+        "view",
+    ],
+)
 def test_a_process_answers_within_a_second_and_a_half(line: str, folder: Path) -> None:
     """The limit is one second on an idle machine: the rest is for a busy one."""
 

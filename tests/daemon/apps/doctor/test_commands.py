@@ -186,6 +186,6 @@ def test_serial_numbers_of_digits_are_quoted() -> None:
     ]
 
 
-def test_an_unknown_area_is_a_usage_error(fringed: Fringed) -> None:
-    process = fringed("doctor", "--only", "diks")
-    assert process.returncode == 2 and "disk" in process.stderr
+def test_an_unknown_area_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["doctor", "--only", "diks"]) == 2
+    assert "disk" in capsys.readouterr().err

@@ -23,6 +23,7 @@ from tests.daemon.apps.reprocess.takes import files_of, replayed, reprocess, wri
 from tests.daemon.recording import small_take
 
 Images = list[small_take.Images]
+ALL_PARTS = "xyz", "gray", "sigma", "rgb", "normals", "interpolated"
 GOLDEN = Path(__file__).parents[3] / "golden" / "take.mcap"
 
 
@@ -110,8 +111,14 @@ def test_other_settings_reach_the_workers(take: Path, tmp_path: Path) -> None:
     assert files_of(tmp_path / "part7") == files
 
 
-@pytest.mark.parametrize("kind", ["npz", "ply", "pcd"])
-@pytest.mark.parametrize("parts", [(), ("xyz",), ("xyz", "gray", "sigma", "rgb", "normals", "interpolated")])
+@pytest.mark.parametrize(
+    ("kind", "parts"),
+    [
+        pytest.param(kind, parts, marks=[pytest.mark.long] * (kind != "npz" and parts != ALL_PARTS))
+        for kind in ("npz", "ply", "pcd")
+        for parts in ((), ("xyz",), ALL_PARTS)
+    ],
+)
 def test_files_have_the_parts_of_a_replay(images: Images, tmp_path: Path, kind: str, parts: tuple[str, ...]) -> None:
     """With filled holes, which a file marks."""
     options = {"kind": kind, "parts": parts, "settings": Settings(hole_filling_size=8)}

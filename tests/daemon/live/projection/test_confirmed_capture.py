@@ -16,7 +16,7 @@ def capture_on(bench: Bench, **options: object) -> ConfirmedCapture:
     return ConfirmedCapture(bench, bench.open(), bench, clock=bench, settle_ns=settle_ns, **options)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     latency_ms=st.floats(0.0, 120.0),
     known=st.booleans(),
