@@ -25,7 +25,7 @@ FIRST = 34
 
 def rejected(depth: Any, *, stride: int = 1, transposed: bool = False, order_mm: float = 60) -> Any:
     """Which points of a depth (H, W) become unknown; all their values do so together."""
-    depth = depth.T if transposed else depth
+    depth = np.ascontiguousarray(depth.T if transposed else depth)  # as clouds are: no other kernels are compiled
     xyz = np.repeat(depth[..., None], 3, axis=-1).astype(np.float32)
     sigma = np.where(np.isfinite(depth), np.float32(SIGMA), np.float32(np.nan)).astype(np.float32)
     order = np.where(np.isfinite(depth), 7, -1).astype(np.int16)

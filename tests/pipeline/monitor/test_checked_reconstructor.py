@@ -46,18 +46,18 @@ def fresh(policy: str = "withhold") -> CheckedReconstructor:
 
 @pytest.mark.parametrize(
     ("device", "axis", "degrees"),
-    [("right", 0, 1.0), ("right", 1, 0.1), ("projector", 1, 0.05)],
+    [("right", 0, 1.0), pytest.param("right", 1, 0.1, marks=pytest.mark.long), ("projector", 1, 0.05)],
 )
 def test_a_device_that_turns_while_it_runs_is_refuted_with_the_next_pair(device: str, axis: int, degrees: float):
     made = running()
-    for _ in range(PAIRS + 4):
+    for _ in range(PAIRS + 1):
         cloud = made.reconstruct(*images(device, axis, degrees))
         assert cloud.consistency.verdict == "inconsistent"
         assert cloud.points == 0
         assert cloud.consistency.findings and cloud.consistency.cause
 
 
-@pytest.mark.parametrize("wrong", [(0, 0), (1, 1), (1, 0)])
+@pytest.mark.parametrize("wrong", [(0, 0), pytest.param((1, 1), marks=pytest.mark.long), (1, 0)])
 def test_an_image_of_the_other_camera_is_refuted_with_the_next_pair_and_so_is_its_end(wrong: tuple[int, int]):
     made, good = running(), images()
     before = made.reconstruct(*good).xyz

@@ -101,15 +101,15 @@ def test_ordinary_errors_of_colour_noise_and_projector_are_no_inconsistency(opti
     ("side", "axis", "degrees", "cause"),
     [
         ("right", YAW, 0.1, "right camera is turned about its vertical axis"),
-        ("right", YAW, -0.1, "right camera is turned about its vertical axis"),
-        ("right", YAW, 0.3, ""),
+        pytest.param("right", YAW, -0.1, "right camera is turned about its vertical axis", marks=pytest.mark.long),
+        pytest.param("right", YAW, 0.3, "", marks=pytest.mark.long),
         ("right", PITCH, 0.05, "camera is turned about its horizontal axis by 0.0[3-9]"),
-        ("right", PITCH, -0.1, "camera is turned about its horizontal axis"),
+        pytest.param("right", PITCH, -0.1, "camera is turned about its horizontal axis", marks=pytest.mark.long),
         ("right", ROLL, 0.05, r"right camera is turned about its optical axis by 0\.0[3-6]"),
-        ("right", ROLL, 0.2, "optical axis"),
+        pytest.param("right", ROLL, 0.2, "optical axis", marks=pytest.mark.long),
         ("right", ROLL, 1.0, ""),
         ("projector", YAW, 0.1, r"or the projector by 0\.(09|10)"),
-        ("projector", YAW, 1.0, ""),
+        pytest.param("projector", YAW, 1.0, "", marks=pytest.mark.long),
         ("projector", ROLL, 0.3, ""),
     ],
 )
@@ -136,7 +136,7 @@ def test_the_depth_offset_is_the_error_of_the_cloud_if_the_right_camera_has_turn
     assert cloud.consistency.verdict == "doubtful"
 
 
-@pytest.mark.parametrize("degrees", [0.02, -0.03])
+@pytest.mark.parametrize("degrees", [0.02, pytest.param(-0.03, marks=pytest.mark.long)])
 def test_so_is_another_one_if_the_left_camera_has_turned(degrees: float):
     cloud = reconstructor(policy="warn").reconstruct(*images_of_turned_left(LAYOUT, "mixed", degrees))
     error = float(np.nanmedian(cloud.xyz[..., 2] - pair("mixed").truth_left.xyz[..., 2]))
