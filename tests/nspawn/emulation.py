@@ -32,8 +32,8 @@ _ENVIRONMENT = {
     "NUMBA_CACHE_DIR": "/var/cache/fringed/numba",
     "XAUTHORITY": "/run/fringed-x/authority",
 }
-DROP_IN = f"ReadWritePaths={FOLDER}\nEnvironment=FRINGED_GENTL_DIR={GENTL}\nWatchdogSec=5"
-"""Settings of the units for emulated cameras, which are files where real ones are devices; half the time to wait."""
+DROP_IN = f"ReadWritePaths={FOLDER}\nEnvironment=FRINGED_GENTL_DIR={GENTL}"
+"""Settings of the units for emulated cameras, which are files where real ones are devices."""
 
 
 def start_x(fringed: Fringed) -> None:

@@ -18,8 +18,6 @@ from tools.nspawn.machine import WAIT_S
 from tools.waiting import wait_until
 
 pytestmark = MARKS
-WATCHED = "WatchdogSec=5"
-"""Half the interval of the installed unit: the tests of the watchdog wait for it."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +31,7 @@ def started(installed: Fringed) -> Iterator[Fringed]:
 def running(started: Fringed) -> Fringed:
     """The service, measuring, whatever the previous test did to it."""
     if started.show()["ActiveState"] != "active":
-        started.start(rig(), WATCHED)
+        started.start(rig())
     started.wait_clouds(1)
     return started
 
@@ -53,7 +51,7 @@ def test_without_a_trigger_it_waits_and_the_status_line_reports_it(started: Frin
 
 
 def test_it_is_ready_only_with_a_first_cloud(started: Fringed) -> None:
-    started.start(rig(), WATCHED, wait=False)
+    started.start(rig(), wait=False)
     seen = {"activating": False}
 
     def ready() -> bool:
@@ -204,7 +202,7 @@ def test_a_daemon_that_ends_at_once_is_started_ten_times_within_ten_seconds(star
     shown = started.wait("the end of the restarts", lambda shown: shown["ActiveState"] == "failed")
     assert shown["NRestarts"] == "10"
     started.wait_logged("Start request repeated too quickly", since, "the reason")
-    started.start(rig(), WATCHED)  # after reset-failed
+    started.start(rig())  # after reset-failed
 
 
 def test_a_stop_is_orderly(running: Fringed) -> None:

@@ -74,12 +74,14 @@ def expect_results(expected: Expected, out: Path) -> None:
         assert (out / name / "summary.json").exists()
 
 
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_local_cluster_gives_the_results_and_a_report(
-    sources: Path, tmp_path: Path, expected: Expected, fringed: Callable[..., subprocess.CompletedProcess[str]]
-) -> None:
-    done = fringed("reprocess", str(sources), "--out", str(tmp_path), "--workers", "1", "--chunk", "4")
+    sources: Path, tmp_path: Path, expected: Expected, fringed: Callable[..., subprocess.CompletedProcess[str]],
+    workers: int,
+) -> None:  # fmt: skip
+    done = fringed("reprocess", str(sources), "--out", str(tmp_path), "--workers", str(workers), "--chunk", "4")
     assert done.returncode == 0, done.stderr
-    assert "1 workers; dashboard: http://127.0.0.1:" in done.stderr
+    assert f"{workers} workers; dashboard: http://127.0.0.1:" in done.stderr
     assert "the file was cut off at byte" in done.stderr
     assert "pairs of 2 recordings done" in done.stdout
     expect_results(expected, tmp_path)
