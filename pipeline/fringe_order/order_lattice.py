@@ -40,8 +40,8 @@ class OrderLattice:
         self._rays = np.zeros((h, w, order_candidates.RAY), np.float32)
         self._rays[..., : len(table.lines)] = np.moveaxis(table.lines, 0, -1)
         self.labels = padded(view.labels)
-        # Only the elements of searched pixels are ever written.
-        self.costs, self._total = (np.zeros(h * w * self.labels, np.float32) for _ in range(2))
+        # Only the elements of searched pixels are ever written; one more, so that every pixel's end is an element.
+        self.costs, self._total = (np.zeros(h * w * self.labels + 1, np.float32) for _ in range(2))
         self.first, self.count, self.place = (np.zeros((h, w), np.int32) for _ in range(3))
         self._jump, self._weight = np.empty((h, w), np.int32), np.empty((h, w), np.float32)
         self._limited: tuple[F64, int] | None = None

@@ -42,10 +42,10 @@ class OrderSearch:
         level.certain[:] = semi_global_aggregation.NONE
         level.search_rows(reference, other, correction, UNCALIBRATED, NO_PRIOR, stride)
         some = level.count[::stride] >= 2
-        labels = np.arange(level.labels)
-        costs = level.costs[level.place[::stride][some][:, None] + labels]
-        exists = labels < level.count[::stride][some][:, None]
-        return np.asarray(np.where(exists, costs, np.inf).min(axis=1), dtype=np.float32)
+        first = level.place[::stride][some]
+        # Of every two segments the second one is what lies between a pixel's candidates and the next one's.
+        ends = np.stack([first, first + level.count[::stride][some]], axis=1).ravel()
+        return np.asarray(np.minimum.reduceat(level.costs, ends)[::2], dtype=np.float32)
 
     def search(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, *, use_prior: bool, texture: float = 1.0

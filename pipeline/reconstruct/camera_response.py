@@ -130,7 +130,9 @@ def periodic_error(left: PhaseMap, match: MatchResult) -> F64:
     inliers = np.ones(len(phase), np.bool_)
     before = np.median(np.abs(residual - np.median(residual)))
     for _ in range(_FIT_ROUNDS):
-        found = np.linalg.lstsq(terms[inliers], residual[inliers], rcond=None)[0]
+        # Normal equations: the phases cover the whole circle, so that they are well conditioned.
+        weighted = terms.T * inliers
+        found = np.linalg.lstsq(weighted @ terms, weighted @ residual, rcond=None)[0]
         error = np.abs(residual - terms @ found)
         after = np.median(error)
         inliers = error < _INLIERS * 1.4826 * after + 1e-6

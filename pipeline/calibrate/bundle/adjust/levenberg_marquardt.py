@@ -111,15 +111,12 @@ def _add_points(
     local: Array, misfit: Array, weight: Array
 ) -> None:  # fmt: skip
     weighted = of_point * weight[:, None, None]
-    cross = np.einsum("nia,nib->nab", local, weighted)
-    own = np.einsum("nia,nib->nab", of_point, weighted)
-    gradient = np.einsum("nia,ni->na", weighted, misfit)
-    for k, m in enumerate(mark):
-        at = slice(start + 3 * int(m), start + 3 * int(m) + 3)
-        matrix[at, at] += own[k]
-        matrix[index, at] += cross[k]
-        matrix[at, index] += cross[k].T
-        right[at] += gradient[k]
+    places = start + 3 * mark[:, None] + np.arange(3)  # (n, 3); no mark is twice in an image
+    cross = np.einsum("nia,nib->anb", local, weighted).reshape(len(index), -1)
+    matrix[places[:, :, None], places[:, None, :]] += np.einsum("nia,nib->nab", of_point, weighted)
+    matrix[np.ix_(index, places.ravel())] += cross
+    matrix[np.ix_(places.ravel(), index)] += cross.T
+    right[places] += np.einsum("nia,ni->na", weighted, misfit)
 
 
 def _reduced(matrix: Array, right: Array, basis: Array) -> tuple[Array, Array]:
