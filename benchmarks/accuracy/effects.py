@@ -62,6 +62,22 @@ def _ambient(light: Light, _: int) -> Light:
     return np.asarray(light + 40 * np.linspace(0, 1, light.shape[1], dtype=np.float32)[:, None], np.float32)
 
 
+def vignetted(left: float, right: float) -> Effect:
+    """Corners darker than the middle by these shares, in proportion to the squared distance from it."""
+
+    def effect(light: Light, camera: int) -> Light:
+        y, x = (np.linspace(-1, 1, n, dtype=np.float32) for n in light.shape[:2])
+        square = (y[:, None] ** 2 + x**2) / 2
+        return np.asarray(light * (1 - (right if camera else left) * square)[..., None])
+
+    return effect
+
+
+def _sideways(light: Light, camera: int) -> Light:
+    x = np.linspace(0, 1, light.shape[1], dtype=np.float32)
+    return np.asarray(light * (1 - 0.4 * (x if camera else 1 - x))[:, None])
+
+
 LIGHT: dict[str, Effect] = {
     "none": lambda light, _: light,
     "scattering below the surface, 20 % over 3 pixels": scattered(0.2, 3),
@@ -73,6 +89,9 @@ LIGHT: dict[str, Effect] = {
     "both blurred by 1.2 pixels": lambda light, _: blurred(light, 1.2),
     "right image displaced by 0.3 pixels down": of_right(lambda light: displaced(light, 0, 0.3)),
     "ambient light across the image, up to 16 %": _ambient,
+    "corners darker by 30 % in both images": vignetted(0.3, 0.3),
+    "by 20 % in the left image, 50 % in the right": vignetted(0.2, 0.5),
+    "darker to one side by 40 %, in the right to the other": _sideways,
     "right image displaced by 0.2 pixels along the baseline": of_right(lambda light: displaced(light, 0.2, 0)),
 }
 
@@ -99,6 +118,14 @@ def _hot(image: Image, camera: int) -> Image:
     return np.where(np.random.default_rng([79, camera]).random(image.shape) < 0.0005, np.uint8(255), image)
 
 
+def _demosaiced(image: Image, _: int) -> Image:
+    """As of a camera that interpolates colours from a mosaic."""
+    raw = np.empty(image.shape[:2], np.uint8)
+    for channel, (y, x) in ((0, (0, 0)), (1, (0, 1)), (1, (1, 0)), (2, (1, 1))):
+        raw[y::2, x::2] = image[y::2, x::2, channel]
+    return np.asarray(cv2.cvtColor(raw, cv2.COLOR_BayerBG2RGB))
+
+
 def _gamma(image: Image, _: int) -> Image:
     return np.rint(255 * (image / 255.0) ** 0.85).astype(np.uint8)
 
@@ -107,7 +134,11 @@ COUNTS: dict[str, Callable[[Light, int, Case], Light]] = {
     "right camera's channels times 1.25, 1, 0.8": _balanced,
     "pixels of unequal gain and offset, 1 %, 0.7 counts": _unequal,
 }
-IMAGES: dict[str, Callable[[Image, int], Image]] = {"hot pixels, 0.05 %": _hot, "camera gamma of 0.85": _gamma}
+IMAGES: dict[str, Callable[[Image, int], Image]] = {
+    "hot pixels, 0.05 %": _hot,
+    "camera gamma of 0.85": _gamma,
+    "three-chip images interpolated from a mosaic": _demosaiced,
+}
 
 
 def with_effect(name: str, lights: tuple[Light, Light], case: Case, seed: int = 0) -> list[Image]:

@@ -27,7 +27,13 @@ from pipeline.decode.kernels.local_mean import BoxMean
 from pipeline.decode.kernels.mosaic_fit import EIGHTHS
 from pipeline.decode.kernels.window_fit import weights_of
 from pipeline.decode.noise_model import NoiseModel, estimate
-from pipeline.decode.pixel_descriptor import correct_descriptors, correction_tables, normalised_phase
+from pipeline.decode.pixel_descriptor import (
+    EVEN,
+    correct_descriptors,
+    corrected_mean,
+    correction_table,
+    normalised_phase,
+)
 from pipeline.decode.raw_image import read_only
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration, ColorModel
@@ -75,6 +81,10 @@ class PhaseMap:
             planes[name] = np.ascontiguousarray(plane[::stride, ::stride])
         return replace(self, **planes)
 
+    def with_corrected_mean(self) -> PhaseMap:
+        """With the mean that the descriptors hold, see :meth:`Decoder.correct`, as its mean."""
+        return replace(self, mean=corrected_mean(self.descriptors))
+
     def displaced(self, pixels: int, axis: int) -> PhaseMap:
         """With the descriptors of the pixels that are so much farther along an axis, 0 beyond the border."""
         descriptors = np.roll(self.descriptors, -pixels, axis)
@@ -92,7 +102,6 @@ class Decoder:
         mosaic: (2, 2) channel numbers of a Bayer sensor, or None.
         slopes: expected phase steps per pixel in this camera's image, (x, y) radians; one of them is 0.
         chromatic: correction of lateral chromatic aberration, with the shifts that go with it; None = none.
-        brightness: of this camera's images relative to the other one's; the means of its descriptors are divided by it.
     """
 
     def __init__(
@@ -104,7 +113,6 @@ class Decoder:
         slopes: tuple[float, float],
         settings: Settings,
         chromatic: ChromaticCorrection | None = None,
-        brightness: float = 1.0,
     ) -> None:
         chromatic = ChromaticCorrection.none(shifts) if chromatic is None else chromatic
         shifts, self._chromatic = chromatic.shifts, chromatic
@@ -126,14 +134,12 @@ class Decoder:
         self._weights = np.zeros(3, np.float32)
         self._weights[: self._radius + 1] = weights_of(self._radius, sigma)[self._radius, self._radius :]
         self._planes: dict[str, NDArray[Any]] = {}
-        self._brightness = brightness
-        self._tables: tuple[NDArray[np.int32], NDArray[np.int32]] | None
-        self.correct(np.zeros(6))
+        self._correction: tuple[NDArray[np.int32], F32] | None = None
 
     @staticmethod
     def of_left(
         calibration: Calibration, pattern: ColorFringe, *, mosaic: NDArray[np.int64] | None,
-        slopes: tuple[float, float], settings: Settings, depth_mm: float, brightness: float = 1.0,
+        slopes: tuple[float, float], settings: Settings, depth_mm: float,
     ) -> Decoder:  # fmt: skip
         """The left camera's decoder (pass ``calibration.swapped()`` for the right one), its colours corrected.
 
@@ -144,12 +150,17 @@ class Decoder:
         chromatic = chromatic_correction(calibration, pattern, color, depth_mm)
         return Decoder(
             color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings, chromatic=chromatic,
-            brightness=brightness,
         )  # fmt: skip
 
-    def correct(self, error: NDArray[np.float64]) -> None:
-        """Subtract a periodic error (6,) from normalised phases, see :func:`.pixel_descriptor.periodic`."""
-        self._tables = correction_tables(error, self._brightness) if error.any() or self._brightness != 1 else None
+    def correct(self, error: NDArray[np.float64], factor: NDArray[np.float64] = EVEN) -> None:
+        """Correct the descriptors of the images that follow.
+
+        Args:
+            error: (6,) radians, subtracted from normalised phases, see :func:`.pixel_descriptor.periodic`.
+            factor: (6,) by which means are multiplied, see :func:`.pixel_descriptor.over_the_image`.
+        """
+        needed = error.any() or (factor != EVEN).any()
+        self._correction = (correction_table(error), factor.astype(np.float32)) if needed else None
 
     def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
         """Phase of a raw image, (H, W, 3) three-chip or (H, W) mosaic; overwrites the last image's planes."""
@@ -172,8 +183,8 @@ class Decoder:
             decode_rgb(BANDS, image.reshape(height, 3 * width), *common)
         else:
             decode_bayer(BANDS, image, self._mosaic, self._rows, *common)
-        if self._tables is not None:
-            correct_descriptors(height, *self._tables, planes["descriptors"])
+        if self._correction is not None:
+            correct_descriptors(height, *self._correction, planes["descriptors"])
         return PhaseMap(
             planes["phasor"], planes["descriptors"], mean, planes["variance"],
             float(planes["saturated"].sum()) / (height * width), planes["phase"],

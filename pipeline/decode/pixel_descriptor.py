@@ -20,8 +20,11 @@ from pipeline.common.tile_math import angle, whole_turns
 VALID = np.int32(256)
 RADIANS = np.float32(2 * pi / 2**32)
 """One unit of :func:`phase_units` and :func:`normalised_units`: 2^32 are a turn, so that differences wrap."""
+EVEN = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+"""The factor 1 at every place of an image, see :func:`over_the_image`."""
 _PHASE, _NORMALISED, _MEAN = np.int32(-(2**20)), np.int32(-(2**21)), np.int32(255)
 _REST = np.int32(_PHASE | VALID)  # all but the normalised phase and the mean
+_HALF, _ONE, _TWO = np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _TURN, _FINE = np.float32(2 * pi), np.float32(2**28 / (2 * pi))
 _PHASE_STEPS, _NORMALISED_STEPS = np.float32(2**12 / (2 * pi)), np.float32(2**11 / (2 * pi))
 
@@ -87,25 +90,40 @@ def descriptors_without_color(i: int, phase: Any, valid: Any, mean: Any, out: An
 
 
 @parallel
-def correct_descriptors(i: int, phases: Any, means: Any, descriptors: Any) -> None:
-    """Correct normalised phases and means of row i of descriptors (H, W) by the tables of :func:`correction_tables`."""
-    row = descriptors[i]
-    for j in range(row.shape[0]):
-        x = row[j]
-        phase = phases[np.int32(x >> np.int32(9)) & np.int32(0x7FF)]
-        row[j] = np.int32(np.int32(x & _REST) | np.int32(phase | means[x & _MEAN]))
-
-
-def correction_tables(error: NDArray[np.float64], brightness: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Bits of every normalised phase less its error (2048,) and of every mean divided by the brightness (256,).
+def correct_descriptors(i: int, phases: Any, factor: Any, descriptors: Any) -> None:
+    """Correct normalised phases and means of row i of descriptors (H, W).
 
     Args:
-        error: (6,) radians, see :func:`periodic`; brightness: cameras of unequal brightness become comparable so.
+        phases: of :func:`correction_table`.
+        factor: (6,) float32 that means are multiplied by, see :func:`over_the_image`: it makes cameras comparable.
     """
+    height, width = descriptors.shape
+    row, step, y = descriptors[i], _TWO / np.float32(width - 1), _TWO * np.float32(i) / np.float32(height - 1) - _ONE
+    constant, slope = factor[0] + y * (factor[2] + y * factor[5]), factor[1] + y * factor[4]
+    curvature = factor[3]
+    for j in range(width):
+        pixel, x = row[j], step * np.float32(j) - _ONE
+        phase = phases[np.int32(pixel >> np.int32(9)) & np.int32(0x7FF)]
+        mean = mean_of(pixel) * (constant + x * (slope + x * curvature)) + _HALF
+        bits = np.int32(min(max(mean, _HALF), np.float32(_MEAN)))
+        row[j] = np.int32(np.int32(pixel & _REST) | np.int32(phase | bits))
+
+
+def correction_table(error: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Bits of every normalised phase (2048,) less its error (6,), radians, see :func:`periodic`."""
     phases = np.arange(2**11) / np.float64(_NORMALISED_STEPS)
     steps = np.rint((phases - periodic(phases) @ error) * np.float64(_NORMALISED_STEPS)).astype(np.int64)
-    means = np.minimum(np.rint(np.arange(256) / brightness), 255)
-    return ((steps & 0x7FF) << 9).astype(np.int32), means.astype(np.int32)
+    return ((steps & 0x7FF) << 9).astype(np.int32)
+
+
+def over_the_image(u: NDArray[Any], v: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float64]:
+    """(n, 6) terms 1, x, y, x^2, x y, y^2 of a quadratic function of the place in an image, x and y from -1 to 1.
+
+    Args:
+        u, v: (n,) pixels; size: (width, height).
+    """
+    x, y = 2.0 * u / (size[0] - 1) - 1, 2.0 * v / (size[1] - 1) - 1
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
 def periodic(phase: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -116,3 +134,8 @@ def periodic(phase: NDArray[np.float64]) -> NDArray[np.float64]:
 def normalised_phase(descriptors: NDArray[np.int32]) -> NDArray[np.float32]:
     """Normalised phases of descriptors, radians."""
     return np.asarray(((descriptors << 12) & _NORMALISED) * RADIANS, dtype=np.float32)
+
+
+def corrected_mean(descriptors: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """Means of descriptors, counts."""
+    return (descriptors & _MEAN).astype(np.uint8)

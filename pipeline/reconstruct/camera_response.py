@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.decode.decoder import PhaseMap
-from pipeline.decode.pixel_descriptor import normalised_phase, periodic
+from pipeline.decode.pixel_descriptor import EVEN, normalised_phase, over_the_image, periodic
 from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP, MatchResult
 from pipeline.rig.calibration import ColorModel
 
@@ -24,10 +24,11 @@ F64 = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-EQUAL: F64 = np.append(np.ones(5), np.zeros(6))
+EQUAL: F64 = np.concatenate([np.ones(5), np.zeros(6), EVEN])
 """Both cameras respond as calibrated: gains of R, G, B of the right camera relative to their mean, its contrast and its
-brightness, relative to the left one's; coefficients of the phase's error, see :func:`.pixel_descriptor.periodic`."""
-CONTRAST, BRIGHTNESS, ERROR = 3, 4, slice(5, 11)
+brightness, relative to the left one's; coefficients of the phase's error, see :func:`.pixel_descriptor.periodic`, and
+of the factor that evens out the brightness over the right image, see :func:`.pixel_descriptor.over_the_image`."""
+CONTRAST, BRIGHTNESS, ERROR, VIGNETTING = 3, 4, slice(5, 11), slice(11, 17)
 """Numbers of the response that follow the gains."""
 CERTAINLY_UNEQUAL = 0.1
 """Relative difference from which whole images show a white balance: they do not see quite the same surfaces."""
@@ -35,9 +36,14 @@ UNEQUAL, CORRECTED = 0.015, 0.003
 """Relative difference that matched points show certainly, and that is left when it is corrected."""
 BRIGHTER, CERTAINLY_BRIGHTER = 0.1, 0.25
 """Relative difference of brightness from which it is corrected, at matched points and of whole images."""
+VIGNETTED = 0.1
+"""How much the right camera's relative brightness varies over the image when it is corrected."""
+_RIDGE = 1e-3
+"""Of the quadratic function, against large values where there are no points."""
 LAG = 2
 """Pixels to either side between which the fringes' periods in both images are compared."""
 _ALIKE = 0.15
+_NOTICEABLY_VIGNETTED = 0.25
 _NOTICEABLE, _UNSHARP = 0.05, 0.12
 _DARK, _BRIGHT = 8, 225
 _LEAST_POINTS = 1000
@@ -111,6 +117,41 @@ def brightness_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult) ->
     return _brighter(float(np.median(others[some] / ours[some].astype(np.float64))), BRIGHTER)
 
 
+def vignetting_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult, brightness: float) -> F64:
+    """Coefficients (6,) of left over right mean at matched points over the right image, EVEN where it hardly varies.
+
+    Lenses darken the corners of their images, and hardly ever alike at both images of a surface point. Surfaces that
+    shine do so as well: a quadratic function over the whole image follows them little.
+
+    Args:
+        brightness: of the right camera, by which its means are divided before.
+    """
+    rows, columns, v, u = _points(match, match.valid != 0)
+    ours, others = left.mean[rows, columns], right.mean[v, u]
+    some = (np.minimum(ours, others) > _DARK) & (np.maximum(ours, others) < _BRIGHT)
+    if np.count_nonzero(some) < _LEAST_POINTS:
+        return EVEN
+    ratio = brightness * ours[some] / others[some].astype(np.float64)
+    terms = over_the_image(u[some], v[some], right.mean.shape[::-1])
+    ridge = _RIDGE * len(ratio) * np.diag([0.0, 1, 1, 1, 1, 1])
+    found, inliers = EVEN, np.ones(len(ratio), np.bool_)
+    for _ in range(_FIT_ROUNDS):
+        weighted = terms.T * inliers
+        found = np.linalg.solve(weighted @ terms + ridge, weighted @ ratio)
+        error = np.abs(ratio - terms @ found)
+        inliers = error < _INLIERS * 1.4826 * np.median(error) + 1e-6
+    low, high = np.quantile(terms @ found, (0.02, 0.98))
+    values = _on_grid(found)
+    sane = values.min() > 1 / _LARGEST and values.max() < _LARGEST
+    return found if sane and high / low - 1 > VIGNETTED else EVEN
+
+
+def _on_grid(factor: F64) -> F64:
+    """Values (25,) of a quadratic function (6,) on a grid over the image."""
+    u, v = np.divmod(np.arange(25), 5)
+    return np.asarray(over_the_image(u, v, (5, 5)) @ factor)
+
+
 def periodic_error(left: PhaseMap, match: MatchResult) -> F64:
     """Coefficients (6,) of the normalised phase's error against the projector, zeros where it is small.
 
@@ -175,6 +216,12 @@ def warnings_of(response: F64) -> tuple[str, ...]:
         warnings.append(
             f"the right camera's images are {brightness:.2f} times as bright as the left one's; set exposure time, "
             "gain and aperture of both alike"
+        )
+    factors = _on_grid(response[VIGNETTING])
+    if (varies := factors.max() / factors.min() - 1) > _NOTICEABLY_VIGNETTED:
+        warnings.append(
+            f"the right camera's brightness relative to the left one's varies by {100 * varies:.0f} % over the image "
+            "and is corrected from the images; use lenses of one type with the same aperture"
         )
     if np.abs(gains - 1).max() > _NOTICEABLE:
         ratios = ", ".join(f"{name} {gain:.2f}" for name, gain in zip(("red", "green", "blue"), gains, strict=True))

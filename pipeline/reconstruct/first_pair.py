@@ -25,7 +25,7 @@ from pipeline.rig.volume import Volume
 
 F64 = NDArray[np.float64]
 
-_RESPONSE_ROUNDS, _LEAST_POINTS, _BRIGHTNESS_STEP = 3, 1000, 0.03
+_RESPONSE_ROUNDS, _VIGNETTING_ROUNDS, _LEAST_POINTS, _BRIGHTNESS_STEP = 3, 2, 1000, 0.03
 _STRIDE, _SCAN_STRIDE, _ACROSS_STRIDE, _CURRENT_STRIDE = 8, 16, 4, 32
 """Distance of the lattice rows whose costs are averaged, of the search, of the scan and of every later pair."""
 _HALF_STEP = 0.125
@@ -54,7 +54,7 @@ class Calibrating(Protocol):
         """The match of every left pixel, valid until the next call."""
 
     def set_response(self, response: NDArray[np.float64], /) -> None:
-        """Set the response (11,), see :mod:`.camera_response`."""
+        """Set the response (17,), see :mod:`.camera_response`."""
 
     def clear_prior(self) -> None:
         """Search the next pair in full."""
@@ -94,6 +94,12 @@ def calibrate(
     brightness = camera_response.brightness_of_points(*maps, match)
     if abs(brightness / made.response[camera_response.BRIGHTNESS] - 1) > _BRIGHTNESS_STEP:
         maps = _with_response(made, camera_response.BRIGHTNESS, brightness, left, right)
+        match = calibrate_columns(made, *maps)
+    for _ in range(_VIGNETTING_ROUNDS):
+        factor = camera_response.vignetting_of_points(*maps, match, float(made.response[camera_response.BRIGHTNESS]))
+        if np.array_equal(factor, made.response[camera_response.VIGNETTING]):
+            break
+        maps = _with_response(made, camera_response.VIGNETTING, factor, left, right)
         match = calibrate_columns(made, *maps)
     contrast = camera_response.contrast_of_points(*maps, match, made.left.first_axis)
     made.set_response(_changed(made.response, camera_response.CONTRAST, contrast))

@@ -66,6 +66,7 @@ class CloudStage:
         self._floor_sq = np.float32((settings.min_modulation * PHASOR_SCALE) ** 2)
         self._correlation = np.float32(correlation)
         self.contrast = 1.0  # of the right camera's fringes, relative to the left one's
+        self.uneven = False  # the means of the right image are corrected over the image
         self.corrected_scatter = 0.0  # of the phases against the projector's, rad^2
         self._slopes = stride * left.slopes[0], stride * left.slopes[1]
         smallest = max(settings.cluster_min_area // stride**2, 1)
@@ -143,6 +144,8 @@ class CloudStage:
         if self._stride > 1:
             part = left.subsampled(self._stride)
             part_order = np.ascontiguousarray(order[:: self._stride, :: self._stride])
+        if self.uneven:
+            right = right.with_corrected_mean()
         points = Points.empty(self._size)
         match = self.match(part, right, part_order, correction, points)
         if confirm is not None:

@@ -113,9 +113,9 @@ class Reconstructor:
         """The right camera's decoder, for its measured response."""
         color = camera_response.with_gains(self.calibration.right_color, self.response[:3])
         rig = replace(self.calibration, right_color=color).swapped()
-        brightness = float(self.response[camera_response.BRIGHTNESS])
-        made = self._make_decoder(rig, slopes=self.right.slopes, depth_mm=self._right_middle, brightness=brightness)
-        made.correct(self.response[camera_response.ERROR])
+        made = self._make_decoder(rig, slopes=self.right.slopes, depth_mm=self._right_middle)
+        factor = self.response[camera_response.VIGNETTING] / self.response[camera_response.BRIGHTNESS]
+        made.correct(self.response[camera_response.ERROR], factor)
         return made
 
     @property
@@ -125,7 +125,7 @@ class Reconstructor:
         return first + width_warnings(self.calibration, self.pattern, mosaic=self._mosaic)
 
     def state(self) -> CorrectionState:
-        """What the first pair sets: column correction and response, 14 numbers, and whether they were measured."""
+        """What the first pair sets: column correction and response, 20 numbers, and whether they were measured."""
         return np.concatenate([self.correction, self.response]), self.calibrated
 
     def restore(self, kept: CorrectionState) -> None:
@@ -136,7 +136,7 @@ class Reconstructor:
         self.clear_prior()
 
     def set_response(self, response: NDArray[np.float64]) -> None:
-        """Set the response (11,), see :mod:`.camera_response`."""
+        """Set the response (17,), see :mod:`.camera_response`."""
         contrast = camera_response.CONTRAST
         changed = not np.array_equal(np.delete(response, contrast), np.delete(self.response, contrast))
         self.response = response
@@ -148,6 +148,7 @@ class Reconstructor:
 
     def _set_response_of(self, stage: CloudStage) -> None:
         stage.contrast = float(self.response[camera_response.CONTRAST])
+        stage.uneven = bool((self.response[camera_response.VIGNETTING] != camera_response.EVEN).any())
         stage.corrected_scatter = camera_response.scatter_of(self.response[camera_response.ERROR])
 
     def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:

@@ -91,17 +91,21 @@ def test_a_decoder_writes_every_pixel_of_them(encoding):
     assert 0.2 < valid.mean() < 1
 
 
-@pytest.mark.parametrize("divisor", [0.4, 1.0, 1.6])
-def test_means_and_normalised_phases_are_corrected_and_nothing_else(divisor):
+@pytest.mark.parametrize("factor", [(2.5, 0, 0, 0, 0, 0), (1, 0, 0, 0, 0, 0), (0.9, 0.2, -0.1, 0.3, -0.05, 0.1)])
+def test_means_and_normalised_phases_are_corrected_and_nothing_else(factor):
     rng = np.random.default_rng(5)
     plane = rng.integers(-(2**31), 2**31, (7, 300), dtype=np.int64).astype(np.int32)
     plane[0, :256] = np.arange(256)
     before = plane.copy()
     error = np.array([0.02, 0.0, -0.1, 0.05, 0.0, 0.1])
-    pixel_descriptor.correct_descriptors(7, *pixel_descriptor.correction_tables(error, divisor), plane)
+    table = pixel_descriptor.correction_table(error)
+    pixel_descriptor.correct_descriptors(7, table, np.array(factor, np.float32), plane)
     rest = ~(255 | 0x7FF << 9)
     np.testing.assert_array_equal(plane & rest, before & rest)
-    np.testing.assert_array_equal(plane & 255, np.minimum(np.rint((before & 255) / divisor), 255))
+    v, u = np.indices(plane.shape)
+    values = pixel_descriptor.over_the_image(u.ravel(), v.ravel(), plane.shape[::-1]) @ factor
+    means = np.minimum((before & 255) * values.reshape(plane.shape), 255)
+    assert np.abs((plane & 255) - means).max() < 0.501
     phase = pixel_descriptor.normalised_phase(before).ravel().astype(np.float64)
     expected = phase - pixel_descriptor.periodic(phase) @ error
     away = wrapped(pixel_descriptor.normalised_phase(plane).ravel() - expected)

@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from pipeline.decode.pixel_descriptor import over_the_image
 from pipeline.reconstruct import camera_response
-from pipeline.reconstruct.camera_response import EQUAL, ERROR
+from pipeline.reconstruct.camera_response import EQUAL, ERROR, VIGNETTING
 from sim.evaluate.point_errors import point_errors
 from sim.render.render_pair import render_counts, truths, with_noise
 from sim.rig.optics import Optics
@@ -39,6 +40,7 @@ def test_equal_cameras_are_left_as_they_are() -> None:
     np.testing.assert_array_equal(made.response[[0, 1, 2, 4]], 1)
     assert made.response[3] == pytest.approx(1, abs=0.02)
     np.testing.assert_array_equal(made.response[ERROR], 0)
+    np.testing.assert_array_equal(made.response[VIGNETTING], EQUAL[VIGNETTING])
     assert made.warnings == ()
 
 
@@ -64,6 +66,34 @@ def test_a_camera_of_another_brightness_costs_few_points(factor: float) -> None:
     assert found.wrong < equal.wrong + 0.001
     assert 0.8 < found.error_to_sigma < 1.3
     assert f"{made.response[4]:.2f} times as bright" in " ".join(made.warnings)
+
+
+@pytest.mark.parametrize("brightness", [1.0, 0.6])
+def test_a_lens_that_darkens_the_corners_or_one_side_costs_few_points(brightness: float) -> None:
+    _, _, equal = _measured(*_pair("mixed"))
+    height, width = LAYOUT.camera_size[::-1]
+    v, u = np.indices((height, width))
+    terms = over_the_image(u.ravel(), v.ravel(), (width, height)).reshape(height, width, 6)
+    for shape in ((1.0, 0, 0, -0.25, 0, -0.25), (0.75, 0.25, 0, 0, 0, 0)):
+        light = (brightness * terms @ shape).astype(np.float32)[..., None]
+        images = _pair("mixed", lambda counts, light=light: light * counts)
+        made, cloud, found = _measured(*images)
+        assert found.covered > equal.covered - 0.01
+        assert found.wrong < equal.wrong + 0.001
+        assert found.error_to_sigma == pytest.approx(equal.error_to_sigma, rel=0.1)
+        assert "varies by" in " ".join(made.warnings)
+        # In the middle, where most of the points are: what the lens took is given back.
+        there = np.s_[height // 5 : -height // 5, width // 5 : -width // 5]
+        even = (terms @ made.response[VIGNETTING] / made.response[4])[there] * light[there][..., 0]
+        assert even.max() / even.min() < 1.06
+        without = reconstructor()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(camera_response, "vignetting_of_points", lambda *_: EQUAL[VIGNETTING])
+            without.reconstruct(*images[:2])
+        other = reconstructor()
+        other.restore(made.state())
+        np.testing.assert_array_equal(other.reconstruct(*images[:2]).xyz, made.reconstruct(*images[:2]).xyz)
+        assert cloud.points > without.reconstruct(*images[:2]).points
 
 
 def test_a_blurred_camera_displaces_coloured_surfaces_less() -> None:
