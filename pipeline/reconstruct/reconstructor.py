@@ -148,7 +148,8 @@ class Reconstructor:
 
     def _set_response_of(self, stage: CloudStage) -> None:
         stage.contrast = float(self.response[camera_response.CONTRAST])
-        stage.uneven = bool((self.response[camera_response.VIGNETTING] != camera_response.EVEN).any())
+        even = camera_response.EQUAL[camera_response.VIGNETTING]
+        stage.uneven = not np.array_equal(self.response[camera_response.VIGNETTING], even)
         stage.corrected_scatter = camera_response.scatter_of(self.response[camera_response.ERROR])
 
     def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:
