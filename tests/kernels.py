@@ -11,7 +11,7 @@ from daemon.common.errors import DaemonError
 from daemon.kernels.jobs import ENCODINGS, later_jobs, measuring_jobs, rendering_jobs
 from daemon.kernels.processes import compile_kernels
 
-MODES = ("heterodyne", "bayer_rggb8"), ("heterodyne", "mono16"), ("gray", "rgb8"), ("two_color", "rgb8")
+MODES = ("heterodyne", "bayer_rggb8"), ("gray", "rgb8"), ("two_color", "rgb8")
 """As far as tests use them."""
 
 

@@ -130,6 +130,7 @@ def _gamma(image: Image, _: int) -> Image:
     return np.rint(255 * (image / 255.0) ** 0.85).astype(np.uint8)
 
 
+INTERPOLATED = "colours interpolated from a mosaic by the camera"
 COUNTS: dict[str, Callable[[Light, int, Case], Light]] = {
     "right camera's channels times 1.25, 1, 0.8": _balanced,
     "pixels of unequal gain and offset, 1 %, 0.7 counts": _unequal,
@@ -137,7 +138,7 @@ COUNTS: dict[str, Callable[[Light, int, Case], Light]] = {
 IMAGES: dict[str, Callable[[Image, int], Image]] = {
     "hot pixels, 0.05 %": _hot,
     "camera gamma of 0.85": _gamma,
-    "three-chip images interpolated from a mosaic": _demosaiced,
+    INTERPOLATED: _demosaiced,
 }
 
 

@@ -36,6 +36,7 @@ def test_more_than_a_tenth_and_no_cloud_at_all_are_faults(loaded: Rounds, count:
 
 
 @pytest.mark.timeout(400)  # the first run on a machine compiles every kernel
+@pytest.mark.long
 def test_a_short_run_measures_in_another_process_alone_and_under_load(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "benchmarks.latency", "--rates", "8", "--scales", "0.125", "--seconds", "1.5"]
     command += ["--rounds", "1", "--frames", "2", "--out", str(tmp_path)]

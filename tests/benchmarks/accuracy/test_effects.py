@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.effects import COUNTS, IMAGES, LIGHT, displaced, with_effect
+from benchmarks.accuracy.effects import COUNTS, IMAGES, INTERPOLATED, LIGHT, displaced, with_effect
 from benchmarks.reconstruction.cases import HARD
 
 CASE = HARD[0]
@@ -15,8 +15,14 @@ BAYER = next(case for case in HARD if case.encoding == "bayer_rggb8")
 LIGHTS = tuple(np.random.default_rng(n).uniform(20, 120, (64, 96, 3)).astype(np.float32) for n in (0, 1))
 
 
-@pytest.mark.parametrize("case", [CASE, BAYER], ids=lambda case: case.name)
-@pytest.mark.parametrize("name", [name for name in (*LIGHT, *COUNTS, *IMAGES) if name != "none"])
+EFFECTS = [name for name in (*LIGHT, *COUNTS, *IMAGES) if name != "none"]
+
+
+@pytest.mark.parametrize(
+    ("name", "case"),
+    [(name, case) for name in EFFECTS for case in (CASE, BAYER) if case is CASE or name != INTERPOLATED],
+    ids=lambda value: getattr(value, "name", value),
+)
 def test_every_effect_changes_what_it_names_and_nothing_twice_differently(name: str, case: object) -> None:
     before, after = with_effect("none", LIGHTS, case), with_effect(name, LIGHTS, case)
     assert [image.shape for image in after] == [image.shape for image in before]

@@ -12,7 +12,7 @@ from sim.rig.optics import Optics
 from tests.pipeline.multi_frame.sets import LAYOUT, OPTICS, SETTINGS, in_motion, made, sequence, taken, truth
 
 KINDS = [
-    ("heterodyne", "rgb8"), ("heterodyne", "bayer_rggb8"), ("heterodyne", "mono16"),
+    ("heterodyne", "rgb8"), ("heterodyne", "bayer_rggb8"), pytest.param("heterodyne", "mono16", marks=pytest.mark.long),
     ("gray", "rgb8"), ("gray", "mono8"), ("two_color", "rgb8"), ("two_color", "bayer_rggb8"),
     pytest.param("heterodyne", "mono8", marks=pytest.mark.long),
     pytest.param("gray", "bayer_rggb8", marks=pytest.mark.long),

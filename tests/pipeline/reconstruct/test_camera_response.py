@@ -68,7 +68,7 @@ def test_a_camera_of_another_brightness_costs_few_points(factor: float) -> None:
     assert f"{made.response[4]:.2f} times as bright" in " ".join(made.warnings)
 
 
-@pytest.mark.parametrize("brightness", [1.0, 0.6])
+@pytest.mark.parametrize("brightness", [1.0, pytest.param(0.6, marks=pytest.mark.long)])
 def test_a_lens_that_darkens_the_corners_or_one_side_costs_few_points(brightness: float) -> None:
     _, _, equal = _measured(*_pair("mixed"))
     height, width = LAYOUT.camera_size[::-1]

@@ -58,10 +58,14 @@ def test_symmetries_map_the_marks_onto_themselves(text, count):
 
 REPAIRED = [
     (DEFAULT_BOARD, "turned by 180 degrees", "left"), (SQUARE, "turned by 90 degrees", "right"),
-    (SQUARE, "turned by 270 degrees", "projector"), (DEFAULT_BOARD, "mirrored left to right", "right"),
-    (DEFAULT_BOARD, "mirrored top to bottom", "left"),
+    (DEFAULT_BOARD, "mirrored left to right", "projector"),
 ]  # fmt: skip
-OTHERS = [(board, motion, d) for board, motion, done in REPAIRED for d in ("left", "right", "projector") if d != done]
+MOTIONS = [
+    *(each[:2] for each in REPAIRED),
+    (SQUARE, "turned by 270 degrees"),
+    (DEFAULT_BOARD, "mirrored top to bottom"),
+]
+OTHERS = [(*motion, d) for motion in MOTIONS for d in ("left", "right", "projector") if (*motion, d) not in REPAIRED]
 
 
 @pytest.mark.parametrize(

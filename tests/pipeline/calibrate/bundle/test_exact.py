@@ -44,14 +44,19 @@ def test_exact_marks_give_the_exact_rig(devices):
         assert solution.epipolar_px < 1e-8
 
 
-@pytest.mark.parametrize(("focal", "standoff"), [(700.0, 500.0), (1500.0, 900.0), (8000.0, 3000.0)])
+@pytest.mark.parametrize(
+    ("focal", "standoff"), [(700.0, 500.0), pytest.param(1500.0, 900.0, marks=pytest.mark.long), (8000.0, 3000.0)]
+)
 def test_short_and_long_lenses_need_no_help(focal, standoff):
     layout = RigLayout(focal_px=focal, standoff_mm=standoff, projector_focal_px=1.25 * focal, baseline_mm=standoff / 3)
     views, sizes, truth = session(layout=layout)
     agree(calibrate(DEFAULT_BOARD, views, sizes), truth, intrinsic=1e-5)
 
 
-@pytest.mark.parametrize("text", ["acircles:7x15:32", "chessboard:9x7:32", "charuco:11x9:32:22:DICT_4X4_100"])
+@pytest.mark.parametrize(
+    "text",
+    ["acircles:7x15:32", pytest.param("chessboard:9x7:32", marks=pytest.mark.long), "charuco:11x9:32:22:DICT_4X4_100"],
+)
 def test_every_kind_of_board_will_do(text):
     board = parse_board(text)
     views, sizes, truth = session(board)

@@ -33,7 +33,7 @@ def test_clean_marks_are_all_used(clean):
     assert clean[3].rejected == ()
 
 
-@pytest.mark.parametrize("far", [0.4, pytest.param(5.0, marks=pytest.mark.long), 300.0])
+@pytest.mark.parametrize("far", [0.4, *(pytest.param(far, marks=pytest.mark.long) for far in (5.0, 300.0))])
 def test_single_wrong_marks_are_rejected_by_number(clean, far):
     views, sizes, _, without = clean
     wrong = list(views)

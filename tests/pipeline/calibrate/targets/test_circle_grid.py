@@ -28,13 +28,13 @@ def errors(found, board, device, pose, positions=truth):
 
 FAR = (0.0, 0.0, 1800.0)
 POSES = [
-    Pose(),
+    pytest.param(Pose(), marks=pytest.mark.long),
     pytest.param(Pose(45), marks=pytest.mark.long),
     pytest.param(Pose(0, 45), marks=pytest.mark.long),
     Pose(-30, 30, 35, FAR),
     Pose(60, 0, 10),
     pytest.param(Pose(20, 10, 90, FAR), marks=pytest.mark.long),
-    Pose(-15, 20, 180),
+    pytest.param(Pose(-15, 20, 180), marks=pytest.mark.long),
 ]
 
 
@@ -100,7 +100,7 @@ def test_a_gradient_of_light_does_not_move_the_circles(shade):
     assert np.abs(error.mean(axis=0)).max() < 0.002
 
 
-@pytest.mark.parametrize("blur_px", [0.35, 1.5, 3.0, 4.0])
+@pytest.mark.parametrize("blur_px", [0.35, *(pytest.param(blur, marks=pytest.mark.long) for blur in (1.5, 3.0)), 4.0])
 def test_blur_increases_the_sigma_but_gives_no_bias(blur_px):
     found = find_marks(noisy(clean(DEFAULT_BOARD, DEVICE, Pose(20, 20), blur_px=blur_px)), DEFAULT_BOARD)
     error = errors(found, DEFAULT_BOARD, DEVICE, Pose(20, 20))
@@ -110,7 +110,7 @@ def test_blur_increases_the_sigma_but_gives_no_bias(blur_px):
     assert found.sharpness_px == pytest.approx(np.hypot(blur_px, np.sqrt(1 / 12)), rel=0.1)
 
 
-@pytest.mark.parametrize("shadow", [0.5, 0.35, 0.2])
+@pytest.mark.parametrize("shadow", [0.5, pytest.param(0.35, marks=pytest.mark.long), 0.2])
 def test_a_sharp_shadow_over_a_part_of_the_board(tilted, shadow):
     """Circles that the edge of the shadow crosses are left out: their light is not even."""
     v, u = np.mgrid[0:410, 0:512]
@@ -257,7 +257,7 @@ def test_five_megapixels():
     assert np.abs(errors(found, DEFAULT_BOARD, device, TILTED)).max() < 0.05
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_discs_and_boxes_around_the_board_do_not_confuse(seed):
     rng = np.random.default_rng(seed)
     clutter = np.full((410, 512), 60, np.float32)

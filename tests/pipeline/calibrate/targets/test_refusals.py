@@ -62,11 +62,11 @@ def test_a_board_that_runs_out_of_the_image_is_not_another_board(board):
 @pytest.mark.parametrize(
     ("shown", "expected", "detected"),
     [
-        ("circles:11x9:32:20", "circles:10x9:32:20", "11x9"),
-        ("circles:10x9:32:20", "circles:11x9:32:20", "10x9"),
+        pytest.param("circles:11x9:32:20", "circles:10x9:32:20", "11x9", marks=pytest.mark.long),
+        pytest.param("circles:10x9:32:20", "circles:11x9:32:20", "10x9", marks=pytest.mark.long),
         ("circles:7x7:40:20", "circles:11x9:32:20", "7x7"),
         ("acircles:5x12:50", "acircles:4x11:50", "5x12"),
-        ("chessboard:8x6:34", "chessboard:9x6:34", "8x6"),
+        pytest.param("chessboard:8x6:34", "chessboard:9x6:34", "8x6", marks=pytest.mark.long),
         ("chessboard:9x6:34", "chessboard:8x5:34", "9x6"),
         ("charuco:9x7:34:24:DICT_4X4_50", "charuco:10x7:34:24:DICT_4X4_50", "8x6"),
     ],

@@ -99,6 +99,7 @@ def test_the_deviation_from_the_plane_widens_sigma() -> None:
     assert (sigma[some][both] > 1.5 * _outcome(clean)[2][some][both]).mean() > 0.8
 
 
+@pytest.mark.long
 def test_the_figures_that_the_model_is_fitted_to_are_those_that_decide() -> None:
     p = planes()
     p.xyz[::3, EDGE - 1, 2] += 0.3 * ORDER_MM
