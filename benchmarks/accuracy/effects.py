@@ -78,6 +78,16 @@ def _sideways(light: Light, camera: int) -> Light:
     return np.asarray(light * (1 - 0.4 * (x if camera else 1 - x))[:, None])
 
 
+def shining(deviation: float, pixels: float) -> Effect:
+    """Surfaces that reflect otherwise to the right camera: factors with this deviation, alike over so many pixels."""
+
+    def change(light: Light) -> Light:
+        field = blurred(np.random.default_rng(31).standard_normal(light.shape[:2], dtype=np.float32), pixels)
+        return np.asarray(light * np.exp(deviation * (field - field.mean()) / field.std())[..., None])
+
+    return of_right(change)
+
+
 LIGHT: dict[str, Effect] = {
     "none": lambda light, _: light,
     "scattering below the surface, 20 % over 3 pixels": scattered(0.2, 3),
@@ -92,6 +102,9 @@ LIGHT: dict[str, Effect] = {
     "corners darker by 30 % in both images": vignetted(0.3, 0.3),
     "by 20 % in the left image, 50 % in the right": vignetted(0.2, 0.5),
     "darker to one side by 40 %, in the right to the other": _sideways,
+    "right image brighter and darker in places, by 10 %": shining(0.1, 60),
+    "right image brighter and darker in places, by 20 %": shining(0.2, 60),
+    "right image brighter and darker in places, by 30 %": shining(0.3, 100),
     "right image displaced by 0.2 pixels along the baseline": of_right(lambda light: displaced(light, 0.2, 0)),
 }
 

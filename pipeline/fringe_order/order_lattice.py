@@ -37,6 +37,7 @@ class OrderLattice:
         h, w = table.shape
         self._by_brightness, self._contrast = by_brightness, (np.float32(0), np.float32(0))
         self._view, self.table = view, table
+        self._texture_weight = view.settings.texture_weight
         self._rays = np.zeros((h, w, order_candidates.RAY), np.float32)
         self._rays[..., : len(table.lines)] = np.moveaxis(table.lines, 0, -1)
         self.labels = padded(view.labels)
@@ -51,13 +52,17 @@ class OrderLattice:
         self.expected = np.full((h, w), np.nan, np.float32)
         self.certain = np.full((h, w), semi_global_aggregation.NONE, np.int16)
 
+    def weight_texture(self, share: float) -> None:
+        """Use a share of the settings' weight of the texture from now on."""
+        self._texture_weight = share * self._view.settings.texture_weight
+
     def search_rows(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, texture: float, refresh: int, stride: int
     ) -> None:
         """Compute the candidates' costs at the pixels that are not certain, and aggregate along the rows.
 
         Args:
-            texture: share of the settings' weight of the texture; refresh, stride: as of :mod:`.strip_search`.
+            texture: share of the texture's weight; refresh, stride: as of :mod:`.strip_search`.
         """
         view, table, s = self._view, self.table, self._view.settings
         single = self._limit_orders(correction, stride)
@@ -72,8 +77,8 @@ class OrderLattice:
             self._rays, reference.phase, reference.descriptors, reference.valid, reference.brightness,
             self._contrast[0], other.descriptors, view.phase_to_column, view.linear, single, np.float32(view.extent),
             self.labels, view.first_axis, np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2),
-            np.float32(texture * s.texture_weight), np.float32(s.switch_penalty), self.certain, self.expected, refresh,
-            np.float32(s.follow_cost), self.costs, self._total, self.first, self.count, self.place,
+            np.float32(texture * self._texture_weight), np.float32(s.switch_penalty), self.certain, self.expected,
+            refresh, np.float32(s.follow_cost), self.costs, self._total, self.first, self.count, self.place,
         )  # fmt: skip
 
     def _limit_orders(self, correction: F64, stride: int) -> F32:
@@ -108,7 +113,7 @@ class OrderLattice:
                 blocks(len(nodes), TILE), nodes, i * reference.phase.shape[1] + j, self._rays, reference.phase,
                 reference.descriptors, other.descriptors, view.phase_to_column, view.linear, shifted,
                 np.float32(view.extent), view.labels, view.first_axis, np.float32(0.5 / s.cost_sigma**2),
-                np.float32(order_margins.TEXTURE * s.texture_weight), first, count, costs,
+                np.float32(order_margins.TEXTURE * self._texture_weight), first, count, costs,
             )  # fmt: skip
             return costs
 
@@ -186,7 +191,7 @@ class OrderLattice:
             blocks(len(order), uniqueness.ROWS), order, table.top, table.down, table.left, table.step, self._rays,
             reference.phase, reference.descriptors, other.descriptors, view.phase_to_column, view.linear,
             self._limit_orders(correction, 1), np.float32(view.extent), view.labels, view.first_axis,
-            np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight), theirs.top, theirs.down, theirs.left,
+            np.float32(0.5 / s.cost_sigma**2), np.float32(self._texture_weight), theirs.top, theirs.down, theirs.left,
             theirs.step, theirs.shape, np.float32(other_view.slopes[0]), np.float32(other_view.slopes[1]), place,
             value, cost,
         )  # fmt: skip

@@ -36,6 +36,11 @@ class OrderSearch:
         self._fine = OrderLattice(view, view.table, by_brightness=by_brightness)
         self._refresh, self._has_prior = 0, False
 
+    def weight_texture(self, share: float) -> None:
+        """Use a share of the settings' weight of the texture from now on."""
+        for level in (self._coarse, self._fine):
+            level.weight_texture(share)
+
     def least_costs(self, reference: PhaseMap, other: PhaseMap, correction: F64, *, stride: int) -> NDArray[np.float32]:
         """(n,) least cost of each pixel with two candidates at least, on every n-th lattice row."""
         level = self._fine
@@ -55,7 +60,7 @@ class OrderSearch:
         Args:
             reference, other: phases of this camera's image and of the other's.
             use_prior: search only where the orders of :meth:`set_prior` are contradicted, and a few rows in rotation.
-            texture: share of the settings' weight of the texture.
+            texture: share of the texture's weight.
         """
         coarse, fine, table, view = self._coarse, self._fine, self._view.table, self._view
         if use_prior and self._has_prior:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.pixel_descriptor import EVEN, normalised_phase, over_the_image, periodic
+from pipeline.filter.texture_agreement import scale_of
 from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP, MatchResult
 from pipeline.rig.calibration import ColorModel
 
@@ -24,11 +25,12 @@ F64 = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-EQUAL: F64 = np.concatenate([np.ones(5), np.zeros(6), EVEN])
+EQUAL: F64 = np.concatenate([np.ones(5), np.zeros(6), EVEN, [1.0]])
 """Both cameras respond as calibrated: gains of R, G, B of the right camera relative to their mean, its contrast and its
 brightness, relative to the left one's; coefficients of the phase's error, see :func:`.pixel_descriptor.periodic`, and
-of the factor that evens out the brightness over the right image, see :func:`.pixel_descriptor.over_the_image`."""
-CONTRAST, BRIGHTNESS, ERROR, VIGNETTING = 3, 4, slice(5, 11), slice(11, 17)
+of the factor that evens out the brightness over the right image, see :func:`.pixel_descriptor.over_the_image`; share of
+the texture's weight in the order search."""
+CONTRAST, BRIGHTNESS, ERROR, VIGNETTING, TEXTURE = 3, 4, slice(5, 11), slice(11, 17), 17
 """Numbers of the response that follow the gains."""
 CERTAINLY_UNEQUAL = 0.1
 """Relative difference from which whole images show a white balance: they do not see quite the same surfaces."""
@@ -40,6 +42,9 @@ VIGNETTED = 0.1
 """How much the right camera's relative brightness varies over the image when it is corrected."""
 _RIDGE = 1e-3
 """Of the quadratic function, against large values where there are no points."""
+ALIKE = 0.05
+"""Scatter of the relative difference of both images' means at matched points up to which textures have all their
+weight; 0.01 to 0.04 where surfaces reflect alike in both directions."""
 LAG = 2
 """Pixels to either side between which the fringes' periods in both images are compared."""
 _ALIKE = 0.15
@@ -150,6 +155,11 @@ def _on_grid(factor: F64) -> F64:
     """Values (25,) of a quadratic function (6,) on a grid over the image."""
     u, v = np.divmod(np.arange(25), 5)
     return np.asarray(over_the_image(u, v, (5, 5)) @ factor)
+
+
+def texture_share(left: PhaseMap, right: PhaseMap, match: MatchResult) -> float:
+    """Share of the texture's weight in the order search: less where matched points are unlike."""
+    return min(1.0, ALIKE / scale_of(match, left, right).mean_sigma)
 
 
 def periodic_error(left: PhaseMap, match: MatchResult) -> F64:

@@ -54,7 +54,7 @@ class Calibrating(Protocol):
         """The match of every left pixel, valid until the next call."""
 
     def set_response(self, response: NDArray[np.float64], /) -> None:
-        """Set the response (17,), see :mod:`.camera_response`."""
+        """Set the response (18,), see :mod:`.camera_response`."""
 
     def clear_prior(self) -> None:
         """Search the next pair in full."""
@@ -103,6 +103,8 @@ def calibrate(
         match = calibrate_columns(made, *maps)
     contrast = camera_response.contrast_of_points(*maps, match, made.left.first_axis)
     made.set_response(_changed(made.response, camera_response.CONTRAST, contrast))
+    share = camera_response.texture_share(maps[0], maps[1].with_corrected_mean(), match)
+    made.set_response(_changed(made.response, camera_response.TEXTURE, share))
     made.scan = scan_columns(made, *maps)
     return maps
 

@@ -125,7 +125,7 @@ class Reconstructor:
         return first + width_warnings(self.calibration, self.pattern, mosaic=self._mosaic)
 
     def state(self) -> CorrectionState:
-        """What the first pair sets: column correction and response, 20 numbers, and whether they were measured."""
+        """What the first pair sets: column correction and response, 21 numbers, and whether they were measured."""
         return np.concatenate([self.correction, self.response]), self.calibrated
 
     def restore(self, kept: CorrectionState) -> None:
@@ -136,13 +136,15 @@ class Reconstructor:
         self.clear_prior()
 
     def set_response(self, response: NDArray[np.float64]) -> None:
-        """Set the response (17,), see :mod:`.camera_response`."""
-        contrast = camera_response.CONTRAST
-        changed = not np.array_equal(np.delete(response, contrast), np.delete(self.response, contrast))
+        """Set the response (18,), see :mod:`.camera_response`."""
+        later = [camera_response.CONTRAST, camera_response.TEXTURE]  # used after decoding
+        changed = not np.array_equal(np.delete(response, later), np.delete(self.response, later))
         self.response = response
         if changed:
             self.decoders[0].correct(response[camera_response.ERROR])
             self.decoders[1] = self._right_decoder()
+        for search in self.searches:
+            search.weight_texture(float(response[camera_response.TEXTURE]))
         for stage in self._stages.values():
             self._set_response_of(stage)
 

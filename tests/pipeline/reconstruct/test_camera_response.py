@@ -6,7 +6,7 @@ import pytest
 
 from pipeline.decode.pixel_descriptor import over_the_image
 from pipeline.reconstruct import camera_response
-from pipeline.reconstruct.camera_response import EQUAL, ERROR, VIGNETTING
+from pipeline.reconstruct.camera_response import EQUAL, ERROR, TEXTURE, VIGNETTING
 from sim.evaluate.point_errors import point_errors
 from sim.render.render_pair import render_counts, truths, with_noise
 from sim.rig.optics import Optics
@@ -41,6 +41,7 @@ def test_equal_cameras_are_left_as_they_are() -> None:
     assert made.response[3] == pytest.approx(1, abs=0.02)
     np.testing.assert_array_equal(made.response[ERROR], 0)
     np.testing.assert_array_equal(made.response[VIGNETTING], EQUAL[VIGNETTING])
+    assert made.response[TEXTURE] == 1
     assert made.warnings == ()
 
 
@@ -94,6 +95,28 @@ def test_a_lens_that_darkens_the_corners_or_one_side_costs_few_points(brightness
         other.restore(made.state())
         np.testing.assert_array_equal(other.reconstruct(*images[:2]).xyz, made.reconstruct(*images[:2]).xyz)
         assert cloud.points > without.reconstruct(*images[:2]).points
+
+
+@pytest.mark.parametrize("deviation", [0.25, pytest.param(0.15, marks=pytest.mark.long)])
+def test_surfaces_that_reflect_otherwise_to_both_cameras_cost_few_points(deviation: float) -> None:
+    """A field of factors that are alike over some tens of pixels, as of surfaces that shine."""
+    noise = np.random.default_rng(31).standard_normal(LAYOUT.camera_size[::-1]).astype(np.float32)
+    field = cv2.GaussianBlur(noise, (0, 0), 30)
+    factors = np.exp(deviation * field / field.std())[..., None]
+    _, _, equal = _measured(*_pair("mixed"))
+    left, right, truth = _pair("mixed", lambda counts: factors * counts)
+    made, cloud, found = _measured(left, right, truth)
+    assert made.response[TEXTURE] == pytest.approx(camera_response.ALIKE / deviation, rel=0.4)
+    assert found.covered > equal.covered - 0.03
+    assert found.wrong < equal.wrong + 0.001
+    assert 0.7 < found.error_to_sigma < 1.3
+    without = reconstructor()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(camera_response, "texture_share", lambda *_: 1.0)
+        assert without.reconstruct(left, right).points < cloud.points
+    other = reconstructor()
+    other.restore(made.state())
+    np.testing.assert_array_equal(other.reconstruct(left, right).xyz, made.reconstruct(left, right).xyz)
 
 
 def test_a_blurred_camera_displaces_coloured_surfaces_less() -> None:
