@@ -157,7 +157,7 @@ class Decoder:
 
         Args:
             error: (6,) radians, subtracted from normalised phases, see :func:`.pixel_descriptor.periodic`.
-            factor: (6,) by which means are multiplied, see :func:`.pixel_descriptor.over_the_image`.
+            factor: (7,) by which means are multiplied, see :func:`.pixel_descriptor.over_the_image`.
         """
         needed = error.any() or (factor != EVEN).any()
         self._correction = (correction_table(error), factor.astype(np.float32)) if needed else None

@@ -20,7 +20,7 @@ from pipeline.common.tile_math import angle, whole_turns
 VALID = np.int32(256)
 RADIANS = np.float32(2 * pi / 2**32)
 """One unit of :func:`phase_units` and :func:`normalised_units`: 2^32 are a turn, so that differences wrap."""
-EVEN = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+EVEN = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 """The factor 1 at every place of an image, see :func:`over_the_image`."""
 _PHASE, _NORMALISED, _MEAN = np.int32(-(2**20)), np.int32(-(2**21)), np.int32(255)
 _REST = np.int32(_PHASE | VALID)  # all but the normalised phase and the mean
@@ -95,16 +95,17 @@ def correct_descriptors(i: int, phases: Any, factor: Any, descriptors: Any) -> N
 
     Args:
         phases: of :func:`correction_table`.
-        factor: (6,) float32 that means are multiplied by, see :func:`over_the_image`: it makes cameras comparable.
+        factor: (7,) float32 that means are multiplied by, see :func:`over_the_image`: it makes cameras comparable.
     """
     height, width = descriptors.shape
     row, step, y = descriptors[i], _TWO / np.float32(width - 1), _TWO * np.float32(i) / np.float32(height - 1) - _ONE
     constant, slope = factor[0] + y * (factor[2] + y * factor[5]), factor[1] + y * factor[4]
-    curvature = factor[3]
+    curvature, radial, beside = factor[3], factor[6], y * y
     for j in range(width):
         pixel, x = row[j], step * np.float32(j) - _ONE
         phase = phases[np.int32(pixel >> np.int32(9)) & np.int32(0x7FF)]
-        mean = mean_of(pixel) * (constant + x * (slope + x * curvature)) + _HALF
+        square = x * x + beside
+        mean = mean_of(pixel) * (constant + x * (slope + x * curvature) + radial * square * square) + _HALF
         bits = np.int32(min(max(mean, _HALF), np.float32(_MEAN)))
         row[j] = np.int32(np.int32(pixel & _REST) | np.int32(phase | bits))
 
@@ -117,13 +118,13 @@ def correction_table(error: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def over_the_image(u: NDArray[Any], v: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float64]:
-    """(n, 6) terms 1, x, y, x^2, x y, y^2 of a quadratic function of the place in an image, x and y from -1 to 1.
+    """(n, 7) terms 1, x, y, x^2, x y, y^2, (x^2 + y^2)^2 of a function of the place in an image, x and y from -1 to 1.
 
     Args:
         u, v: (n,) pixels; size: (width, height).
     """
     x, y = 2.0 * u / (size[0] - 1) - 1, 2.0 * v / (size[1] - 1) - 1
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, (x * x + y * y) ** 2], axis=-1)
 
 
 def periodic(phase: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -30,7 +30,7 @@ EQUAL: F64 = np.concatenate([np.ones(5), np.zeros(6), EVEN, [1.0]])
 brightness, relative to the left one's; coefficients of the phase's error, see :func:`.pixel_descriptor.periodic`, and
 of the factor that evens out the brightness over the right image, see :func:`.pixel_descriptor.over_the_image`; share of
 the texture's weight in the order search."""
-CONTRAST, BRIGHTNESS, ERROR, VIGNETTING, TEXTURE = 3, 4, slice(5, 11), slice(11, 17), 17
+CONTRAST, BRIGHTNESS, ERROR, VIGNETTING, TEXTURE = 3, 4, slice(5, 11), slice(11, 18), 18
 """Numbers of the response that follow the gains."""
 CERTAINLY_UNEQUAL = 0.1
 """Relative difference from which whole images show a white balance: they do not see quite the same surfaces."""
@@ -38,10 +38,11 @@ UNEQUAL, CORRECTED = 0.015, 0.003
 """Relative difference that matched points show certainly, and that is left when it is corrected."""
 BRIGHTER, CERTAINLY_BRIGHTER = 0.1, 0.25
 """Relative difference of brightness from which it is corrected, at matched points and of whole images."""
-VIGNETTED = 0.1
-"""How much the right camera's relative brightness varies over the image when it is corrected."""
+VIGNETTED, VIGNETTED_REPEATING = 0.1, 0.03
+"""How much the right camera's relative brightness varies over the image when it is corrected; the second where the
+fringes repeat, and textures alone distinguish orders."""
 _RIDGE = 1e-3
-"""Of the quadratic function, against large values where there are no points."""
+"""Of the fit over the image, against large values where there are no points."""
 ALIKE = 0.05
 """Scatter of the relative difference of both images' means at matched points up to which textures have all their
 weight; 0.01 to 0.04 where surfaces reflect alike in both directions."""
@@ -122,14 +123,16 @@ def brightness_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult) ->
     return _brighter(float(np.median(others[some] / ours[some].astype(np.float64))), BRIGHTER)
 
 
-def vignetting_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult, brightness: float) -> F64:
-    """Coefficients (6,) of left over right mean at matched points over the right image, EVEN where it hardly varies.
+def vignetting_of_points(
+    left: PhaseMap, right: PhaseMap, match: MatchResult, brightness: float, *, repeats: bool
+) -> F64:
+    """Coefficients (7,) of left over right mean at matched points over the right image, EVEN where it hardly varies.
 
     Lenses darken the corners of their images, and hardly ever alike at both images of a surface point. Surfaces that
-    shine do so as well: a quadratic function over the whole image follows them little.
+    shine do so as well: a function with seven coefficients over the whole image follows them little.
 
     Args:
-        brightness: of the right camera, by which its means are divided before.
+        brightness: of the right camera, by which its means are divided before; repeats: the fringes repeat.
     """
     rows, columns, v, u = _points(match, match.valid != 0)
     ours, others = left.mean[rows, columns], right.mean[v, u]
@@ -138,7 +141,7 @@ def vignetting_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult, br
         return EVEN
     ratio = brightness * ours[some] / others[some].astype(np.float64)
     terms = over_the_image(u[some], v[some], right.mean.shape[::-1])
-    ridge = _RIDGE * len(ratio) * np.diag([0.0, 1, 1, 1, 1, 1])
+    ridge = _RIDGE * len(ratio) * np.diag([0.0, *np.ones(6)])
     found, inliers = EVEN, np.ones(len(ratio), np.bool_)
     for _ in range(_FIT_ROUNDS):
         weighted = terms.T * inliers
@@ -148,11 +151,11 @@ def vignetting_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult, br
     low, high = np.quantile(terms @ found, (0.02, 0.98))
     values = _on_grid(found)
     sane = values.min() > 1 / _LARGEST and values.max() < _LARGEST
-    return found if sane and high / low - 1 > VIGNETTED else EVEN
+    return found if sane and high / low - 1 > (VIGNETTED_REPEATING if repeats else VIGNETTED) else EVEN
 
 
 def _on_grid(factor: F64) -> F64:
-    """Values (25,) of a quadratic function (6,) on a grid over the image."""
+    """Values (25,) of a factor (7,) on a grid over the image."""
     u, v = np.divmod(np.arange(25), 5)
     return np.asarray(over_the_image(u, v, (5, 5)) @ factor)
 

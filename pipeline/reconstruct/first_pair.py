@@ -47,6 +47,7 @@ class Calibrating(Protocol):
     response: NDArray[np.float64]
     calibrated: bool
     other_shifts: NDArray[np.float64]
+    repeats: bool
     gain: float
     scan: ColumnScan | None
 
@@ -54,7 +55,7 @@ class Calibrating(Protocol):
         """The match of every left pixel, valid until the next call."""
 
     def set_response(self, response: NDArray[np.float64], /) -> None:
-        """Set the response (18,), see :mod:`.camera_response`."""
+        """Set the response (19,), see :mod:`.camera_response`."""
 
     def clear_prior(self) -> None:
         """Search the next pair in full."""
@@ -96,7 +97,9 @@ def calibrate(
         maps = _with_response(made, camera_response.BRIGHTNESS, brightness, left, right)
         match = calibrate_columns(made, *maps)
     for _ in range(_VIGNETTING_ROUNDS):
-        factor = camera_response.vignetting_of_points(*maps, match, float(made.response[camera_response.BRIGHTNESS]))
+        factor = camera_response.vignetting_of_points(
+            *maps, match, float(made.response[camera_response.BRIGHTNESS]), repeats=made.repeats
+        )
         if np.array_equal(factor, made.response[camera_response.VIGNETTING]):
             break
         maps = _with_response(made, camera_response.VIGNETTING, factor, left, right)

@@ -99,10 +99,10 @@ class Reconstructor:
         weights = weights_of(*self.settings.window(mosaic=self._mosaic))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
         distinct = phase_weight(baselines(calibration), self.left.column_to_phase, linear=self.left.linear)
-        # Fringes that repeat, or nearly so: orders must be unique in the right image.
-        self._repeats = distinct < DISTINCT
+        #: Fringes that repeat, or nearly so: orders must be unique in the right image.
+        self.repeats = distinct < DISTINCT
         # Where they do, wrong orders may cost as little as right ones, and only the links decide.
-        search = partial(OrderSearch, by_brightness=not self._repeats)
+        search = partial(OrderSearch, by_brightness=not self.repeats)
         self.searches = search(self.left), search(self.right)
         self._least_margin = self.settings.uniqueness_ratio / 100 * max(_LEAST_MARGIN, distinct)
         self._kept, self._place = (np.empty(self.left.table.shape, kind) for kind in (np.int16, np.int32))
@@ -125,7 +125,7 @@ class Reconstructor:
         return first + width_warnings(self.calibration, self.pattern, mosaic=self._mosaic)
 
     def state(self) -> CorrectionState:
-        """What the first pair sets: column correction and response, 21 numbers, and whether they were measured."""
+        """What the first pair sets: column correction and response, 22 numbers, and whether they were measured."""
         return np.concatenate([self.correction, self.response]), self.calibrated
 
     def restore(self, kept: CorrectionState) -> None:
@@ -136,7 +136,7 @@ class Reconstructor:
         self.clear_prior()
 
     def set_response(self, response: NDArray[np.float64]) -> None:
-        """Set the response (18,), see :mod:`.camera_response`."""
+        """Set the response (19,), see :mod:`.camera_response`."""
         later = [camera_response.CONTRAST, camera_response.TEXTURE]  # used after decoding
         changed = not np.array_equal(np.delete(response, later), np.delete(self.response, later))
         self.response = response
@@ -201,7 +201,7 @@ class Reconstructor:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
         left_map, right_map, order = self.orders(left, right, watch, use_prior=use_prior)
-        limits = Limits(self._least_margin, self.other_shifts, EVEN if self._repeats else -1.0, self.gain)
+        limits = Limits(self._least_margin, self.other_shifts, EVEN if self.repeats else -1.0, self.gain)
         by_orders = partial(self.searches[0].reject_ambiguous, left_map, right_map, self.correction, limits)
         return self.stage(stride).cloud(left_map, right_map, order, self.correction, watch, reject_ambiguous=by_orders)
 
@@ -261,7 +261,7 @@ class Reconstructor:
             self.left, left, left_orders, self.right, right, right_orders, self.correction, self._kept, self._place
         )
         left_search.reject_unseen(left, right, self.correction, self.right, self._place, self._kept)
-        if self._repeats:
+        if self.repeats:
             left_search.reject_contradicted(left, right, self.correction, self.right, self._kept)
         propagate(self.left, left, self._kept, self._order)
         if use_prior:

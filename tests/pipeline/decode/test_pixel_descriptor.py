@@ -91,7 +91,9 @@ def test_a_decoder_writes_every_pixel_of_them(encoding):
     assert 0.2 < valid.mean() < 1
 
 
-@pytest.mark.parametrize("factor", [(2.5, 0, 0, 0, 0, 0), (1, 0, 0, 0, 0, 0), (0.9, 0.2, -0.1, 0.3, -0.05, 0.1)])
+@pytest.mark.parametrize(
+    "factor", [(2.5, 0, 0, 0, 0, 0, 0), (1, 0, 0, 0, 0, 0, 0), (0.9, 0.2, -0.1, 0.3, -0.05, 0.1, 0.07)]
+)
 def test_means_and_normalised_phases_are_corrected_and_nothing_else(factor):
     rng = np.random.default_rng(5)
     plane = rng.integers(-(2**31), 2**31, (7, 300), dtype=np.int64).astype(np.int32)

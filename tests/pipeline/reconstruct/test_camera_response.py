@@ -1,5 +1,7 @@
 """Unequal responses of the cameras, which the calibration does not know, are measured and corrected."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import pytest
 from pipeline.decode.pixel_descriptor import over_the_image
 from pipeline.reconstruct import camera_response
 from pipeline.reconstruct.camera_response import EQUAL, ERROR, TEXTURE, VIGNETTING
+from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.evaluate.point_errors import point_errors
 from sim.render.render_pair import render_counts, truths, with_noise
 from sim.rig.optics import Optics
@@ -74,8 +77,8 @@ def test_a_lens_that_darkens_the_corners_or_one_side_costs_few_points(brightness
     _, _, equal = _measured(*_pair("mixed"))
     height, width = LAYOUT.camera_size[::-1]
     v, u = np.indices((height, width))
-    terms = over_the_image(u.ravel(), v.ravel(), (width, height)).reshape(height, width, 6)
-    for shape in ((1.0, 0, 0, -0.25, 0, -0.25), (0.75, 0.25, 0, 0, 0, 0)):
+    terms = over_the_image(u.ravel(), v.ravel(), (width, height)).reshape(height, width, 7)
+    for shape in ((1.0, 0, 0, -0.25, 0, -0.25, 0), (0.75, 0.25, 0, 0, 0, 0, 0)):
         light = (brightness * terms @ shape).astype(np.float32)[..., None]
         images = _pair("mixed", lambda counts, light=light: light * counts)
         made, cloud, found = _measured(*images)
@@ -89,12 +92,37 @@ def test_a_lens_that_darkens_the_corners_or_one_side_costs_few_points(brightness
         assert even.max() / even.min() < 1.06
         without = reconstructor()
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(camera_response, "vignetting_of_points", lambda *_: EQUAL[VIGNETTING])
+            patch.setattr(camera_response, "vignetting_of_points", lambda *_, **__: EQUAL[VIGNETTING])
             without.reconstruct(*images[:2])
         other = reconstructor()
         other.restore(made.state())
         np.testing.assert_array_equal(other.reconstruct(*images[:2]).xyz, made.reconstruct(*images[:2]).xyz)
         assert cloud.points > without.reconstruct(*images[:2]).points
+
+
+def test_where_fringes_repeat_ordinary_lenses_make_few_points_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both lenses darken their corners by 30 %: a surface point is nearer to the corner in one image."""
+    middle = replace(LAYOUT, projector_fraction=0.5)
+    pattern, optics, scene, volume = middle.pattern(PERIODS), Optics(), build("mixed"), middle.volume()
+    v, u = np.indices(middle.camera_size[::-1])
+    shape = over_the_image(u.ravel(), v.ravel(), middle.camera_size) @ (1.0, 0, 0, -0.15, 0, -0.15, 0)
+    counts = [
+        shape.reshape((*u.shape, 1)).astype(np.float32) * one for one in render_counts(middle, scene, pattern, optics)
+    ]
+    images = with_noise((counts[0], counts[1]), optics, 3, "rgb8")
+    truth = truths(middle, scene, pattern)[0]
+
+    def measured():
+        made = Reconstructor(middle.calibration_for(optics), pattern, volume, settings=SETTINGS)
+        cloud = made.reconstruct(*images)
+        return made, point_errors(cloud.xyz, cloud.sigma_mm, truth, (volume.near_mm, volume.far_mm))
+
+    made, found = measured()
+    assert made.repeats and (made.response[VIGNETTING] != EQUAL[VIGNETTING]).any()
+    monkeypatch.setattr(camera_response, "vignetting_of_points", lambda *_, **__: EQUAL[VIGNETTING])
+    _, without = measured()
+    assert found.covered > without.covered
+    assert found.wrong < 0.3 * without.wrong and found.false_surfaces < without.false_surfaces
 
 
 @pytest.mark.parametrize("deviation", [0.25, pytest.param(0.15, marks=pytest.mark.long)])
@@ -106,7 +134,7 @@ def test_surfaces_that_reflect_otherwise_to_both_cameras_cost_few_points(deviati
     _, _, equal = _measured(*_pair("mixed"))
     left, right, truth = _pair("mixed", lambda counts: factors * counts)
     made, cloud, found = _measured(left, right, truth)
-    assert made.response[TEXTURE] == pytest.approx(camera_response.ALIKE / deviation, rel=0.4)
+    assert 0.7 < made.response[TEXTURE] * deviation / camera_response.ALIKE < 1.6  # the correction takes a part
     assert found.covered > equal.covered - 0.03
     assert found.wrong < equal.wrong + 0.001
     assert 0.7 < found.error_to_sigma < 1.3
