@@ -16,7 +16,11 @@ import numpy as np
 from daemon.apps.replay.independent_verdicts import IndependentVerdicts
 from pipeline.monitor.check.checked_reconstructor import FirstPair
 from pipeline.multi_frame.set_reconstructor import SetReconstructor
+from pipeline.reconstruct.camera_response import EQUAL
 from pipeline.reconstruct.consistency import ColumnScan
+
+_LENGTHS = 3, 3 + len(EQUAL)
+"""Numbers of a column correction, alone or with the cameras' response."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +61,13 @@ class CarriedState:
         scan = None if values["scan"] is None else _numbers(values["scan"])
         if scan is not None and len(scan) != len(dataclasses.fields(ColumnScan)):
             raise ValueError(f"scan has {len(scan)} numbers, expected {len(dataclasses.fields(ColumnScan))}")
+        corrections = tuple((_numbers(numbers), bool(measured)) for numbers, measured in values["corrections"])
+        for numbers, _ in corrections:
+            if len(numbers) not in _LENGTHS:
+                raise ValueError(f"corrections have {len(numbers)} numbers, expected {_LENGTHS[0]} or {_LENGTHS[1]}")
         return cls(
             str(values["encoding"]),
-            tuple((tuple(map(float, numbers)), bool(measured)) for numbers, measured in values["corrections"]),
+            corrections,
             scan,
             _numbers(values["shifts"]),
             float(values["gain"]),

@@ -210,7 +210,8 @@ def test_a_state_survives_json_and_restores_a_reconstructor() -> None:
     made = warmed_reconstructor(*arguments, encoding="rgb8", settings=Settings())
     first = capture(made)
     assert not first.settled
-    values = 0.1 + 0.2, -1e-17, 1 / 3, 1.1, 0.9, 1.0, 2 / 3, 0.7, 0.01, -0.02, 1 / 30, 0.0, -1e-18, 0.1
+    values = (0.1 + 0.2, -1e-17, 1 / 3, 1.1, 0.9, 1.0, 2 / 3, 0.7, 0.01, -0.02, 1 / 30, 0.0, -1e-18, 0.1,
+              1.0, 0.1, -0.1, 1 / 7, 0.0, 0.2, -0.3, 0.5)  # fmt: skip
     scan = (0.25, 0.1, 0.25, 0.1, 0.3, -3.0, 0.1, 0.2, 0.11, 0.32, 1 / 7)
     state = CarriedState("rgb8", ((values, True),), scan, (0.25, 1 / 3), 0.7)
     assert state.settled
@@ -220,6 +221,9 @@ def test_a_state_survives_json_and_restores_a_reconstructor() -> None:
             CarriedState.from_json({key: value for key, value in state.as_json().items() if key != name})
     with pytest.raises(ValueError, match="scan has 7 numbers, expected 11"):
         CarriedState.from_json(state.as_json() | {"scan": list(scan[:7])})
+    shorter = state.as_json() | {"corrections": [[list(values[:14]), True]]}
+    with pytest.raises(ValueError, match="corrections have 14 numbers, expected 3 or 22"):
+        CarriedState.from_json(shorter)
     restore(made, state)
     assert capture(made) == state
     restore(made, first)
