@@ -11,6 +11,7 @@ first pair, where both cameras see the same surfaces.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ VIGNETTED, VIGNETTED_REPEATING = 0.1, 0.03
 fringes repeat, and textures alone distinguish orders."""
 _RIDGE = 1e-3
 """Of the fit over the image, against large values where there are no points."""
-ALIKE = 0.05
+TEXTURES_ALIKE = 0.05
 """Scatter of the relative difference of both images' means at matched points up to which textures have all their
 weight; 0.01 to 0.04 where surfaces reflect alike in both directions."""
 LAG = 2
@@ -115,12 +116,8 @@ def brightness_of_images(left: PhaseMap, right: PhaseMap) -> float:
 
 def brightness_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult) -> float:
     """Median ratio of the means at matched points, right over left; 1 where it hardly differs."""
-    rows, columns, v, u = _points(match, match.valid != 0)
-    ours, others = left.mean[rows, columns], right.mean[v, u]
-    some = (np.minimum(ours, others) > _DARK) & (np.maximum(ours, others) < _BRIGHT)
-    if np.count_nonzero(some) < _LEAST_POINTS:
-        return 1.0
-    return _brighter(float(np.median(others[some] / ours[some].astype(np.float64))), BRIGHTER)
+    ours, others, _, _ = _means_of_points(left, right, match)
+    return _brighter(float(np.median(others / ours)), BRIGHTER) if len(ours) >= _LEAST_POINTS else 1.0
 
 
 def vignetting_of_points(
@@ -134,24 +131,23 @@ def vignetting_of_points(
     Args:
         brightness: of the right camera, by which its means are divided before; repeats: the fringes repeat.
     """
-    rows, columns, v, u = _points(match, match.valid != 0)
-    ours, others = left.mean[rows, columns], right.mean[v, u]
-    some = (np.minimum(ours, others) > _DARK) & (np.maximum(ours, others) < _BRIGHT)
-    if np.count_nonzero(some) < _LEAST_POINTS:
+    ours, others, u, v = _means_of_points(left, right, match)
+    if len(ours) < _LEAST_POINTS:
         return EVEN
-    ratio = brightness * ours[some] / others[some].astype(np.float64)
-    terms = over_the_image(u[some], v[some], right.mean.shape[::-1])
-    ridge = _RIDGE * len(ratio) * np.diag([0.0, *np.ones(6)])
-    found, inliers = EVEN, np.ones(len(ratio), np.bool_)
-    for _ in range(_FIT_ROUNDS):
-        weighted = terms.T * inliers
-        found = np.linalg.solve(weighted @ terms + ridge, weighted @ ratio)
-        error = np.abs(ratio - terms @ found)
-        inliers = error < _INLIERS * 1.4826 * np.median(error) + 1e-6
+    terms = over_the_image(u, v, right.mean.shape[::-1])
+    found, _ = _fitted(terms, brightness * ours / others, _RIDGE * len(ours) * np.diag([0.0, *np.ones(6)]))
     low, high = np.quantile(terms @ found, (0.02, 0.98))
     values = _on_grid(found)
     sane = values.min() > 1 / _LARGEST and values.max() < _LARGEST
     return found if sane and high / low - 1 > (VIGNETTED_REPEATING if repeats else VIGNETTED) else EVEN
+
+
+def _means_of_points(left: PhaseMap, right: PhaseMap, match: MatchResult) -> tuple[F64, F64, Any, Any]:
+    """Left and right means of matched points that are neither dark nor saturated, and their right pixels u, v."""
+    rows, columns, v, u = _points(match, match.valid != 0)
+    ours, others = left.mean[rows, columns], right.mean[v, u]
+    some = (np.minimum(ours, others) > _DARK) & (np.maximum(ours, others) < _BRIGHT)
+    return ours[some].astype(np.float64), others[some].astype(np.float64), u[some], v[some]
 
 
 def _on_grid(factor: F64) -> F64:
@@ -162,7 +158,7 @@ def _on_grid(factor: F64) -> F64:
 
 def texture_share(left: PhaseMap, right: PhaseMap, match: MatchResult) -> float:
     """Share of the texture's weight in the order search: less where matched points are unlike."""
-    return min(1.0, ALIKE / scale_of(match, left, right).mean_sigma)
+    return min(1.0, TEXTURES_ALIKE / scale_of(match, left, right).mean_sigma)
 
 
 def periodic_error(left: PhaseMap, match: MatchResult) -> F64:
@@ -180,19 +176,26 @@ def periodic_error(left: PhaseMap, match: MatchResult) -> F64:
     )
     if len(phase) < _LEAST_POINTS or parts.min() < _LEAST_SHARE * len(phase):
         return np.zeros(6)
-    terms = np.column_stack([periodic(phase), np.ones_like(phase)])
-    inliers = np.ones(len(phase), np.bool_)
     before = np.median(np.abs(residual - np.median(residual)))
-    for _ in range(_FIT_ROUNDS):
-        # Normal equations: the phases cover the whole circle, so that they are well conditioned.
-        weighted = terms.T * inliers
-        found = np.linalg.lstsq(weighted @ terms, weighted @ residual, rcond=None)[0]
-        error = np.abs(residual - terms @ found)
-        after = np.median(error)
-        inliers = error < _INLIERS * 1.4826 * after + 1e-6
-    coefficients: F64 = np.asarray(found[:6], dtype=np.float64)
+    found, after = _fitted(np.column_stack([periodic(phase), np.ones_like(phase)]), residual)
+    coefficients = found[:6]
     fits = rms_of(coefficients) >= _PERIODIC and _sizes(coefficients) @ (1, 2, 3) <= _MOST_PERIODIC
     return coefficients if fits and after**2 <= _EXPLAINED * before**2 else np.zeros(6)
+
+
+def _fitted(terms: F64, values: F64, ridge: F64 | float = 0.0) -> tuple[F64, float]:
+    """Coefficients (k,) of terms (n, k) that fit the inliers of values (n,) best, and the median error of all.
+
+    The few terms cover a circle or an image, so that their normal equations are well conditioned.
+    """
+    inliers = np.ones(len(values), np.bool_)
+    for _ in range(_FIT_ROUNDS):
+        weighted = terms.T * inliers
+        found = np.asarray(np.linalg.lstsq(weighted @ terms + ridge, weighted @ values, rcond=None)[0], np.float64)
+        error = np.abs(values - terms @ found)
+        median = float(np.median(error))
+        inliers = error < _INLIERS * 1.4826 * median + 1e-6
+    return found, median
 
 
 def rms_of(error: F64) -> float:

@@ -105,9 +105,9 @@ def calibrate(
         maps = _with_response(made, camera_response.VIGNETTING, factor, left, right)
         match = calibrate_columns(made, *maps)
     contrast = camera_response.contrast_of_points(*maps, match, made.left.first_axis)
-    made.set_response(_changed(made.response, camera_response.CONTRAST, contrast))
     share = camera_response.texture_share(maps[0], maps[1].with_corrected_mean(), match)
-    made.set_response(_changed(made.response, camera_response.TEXTURE, share))
+    kept = _changed(made.response, camera_response.CONTRAST, contrast)
+    made.set_response(_changed(kept, camera_response.TEXTURE, share))
     made.scan = scan_columns(made, *maps)
     return maps
 

@@ -161,7 +161,7 @@ def test_exposure_times_follow_a_clock_that_drifts(running: tuple[Cable, Camera]
         frame = camera.read(5.0)
         assert frame is not None
         assert abs(frame.t_exposure_ns - shift - t_ns) < 1_000_000
-        time.sleep(0.02)  # the clock drifts with the time, not with the number of pulses
+        time.sleep(0.02)  # the clock drifts with the time, not with the number of triggers
 
 
 def test_a_camera_clock_that_was_reset_is_determined_again(running: tuple[Cable, Camera]) -> None:

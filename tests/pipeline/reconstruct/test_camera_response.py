@@ -134,7 +134,9 @@ def test_surfaces_that_reflect_otherwise_to_both_cameras_cost_few_points(deviati
     _, _, equal = _measured(*_pair("mixed"))
     left, right, truth = _pair("mixed", lambda counts: factors * counts)
     made, cloud, found = _measured(left, right, truth)
-    assert 0.7 < made.response[TEXTURE] * deviation / camera_response.ALIKE < 1.6  # the correction takes a part
+    assert (
+        0.7 < made.response[TEXTURE] * deviation / camera_response.TEXTURES_ALIKE < 1.6
+    )  # the correction takes a part
     assert found.covered > equal.covered - 0.03
     assert found.wrong < equal.wrong + 0.001
     assert 0.7 < found.error_to_sigma < 1.3
