@@ -73,6 +73,14 @@ def vignetted(left: float, right: float) -> Effect:
     return effect
 
 
+def _together(light: Light, camera: int) -> Light:
+    """A coloured lamp, scattering, coloured ambient light, vignetting, blur, and a right image of other brightness."""
+    light = light * np.array([1.25, 1.05, 0.85], np.float32)
+    light = 0.85 * light + 0.1 * blurred(light, 4) + 0.05 * blurred(light, 40) + np.array([18, 10, 4], np.float32)
+    light = vignetted(0.15, 0.3)(light, camera)
+    return blurred(0.8 * shining(0.06, 50)(light, camera) if camera else light, 0.5)
+
+
 def _sideways(light: Light, camera: int) -> Light:
     x = np.linspace(0, 1, light.shape[1], dtype=np.float32)
     return np.asarray(light * (1 - 0.4 * (x if camera else 1 - x))[:, None])
@@ -95,6 +103,10 @@ LIGHT: dict[str, Effect] = {
     "light from other surfaces, 30 % over 30 pixels": scattered(0.3, 30),
     "veiling glare of 8 %": lambda light, _: light + 0.08 * light.mean(),
     "right camera 0.6 times as bright": of_right(lambda light: np.float32(0.6) * light),
+    "left camera 0.3 times as bright": lambda light, camera: light if camera else np.float32(0.3) * light,
+    "coloured lamp, channels times 1.6, 1.3, 1.1": lambda light, _: light * np.array([1.12, 0.91, 0.77], np.float32),
+    "coloured ambient light, 40, 20, 5 counts": lambda light, _: light + np.array([40, 20, 5], np.float32),
+    "lamp, ambient light, scattering, vignetting, brightness together": _together,
     "right image blurred by 1 pixel": of_right(lambda light: blurred(light, 1.0)),
     "both blurred by 1.2 pixels": lambda light, _: blurred(light, 1.2),
     "right image displaced by 0.3 pixels down": of_right(lambda light: displaced(light, 0, 0.3)),

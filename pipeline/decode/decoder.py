@@ -11,13 +11,14 @@ A phasor ``C + i S`` is kept rather than its angle: it can be interpolated, the 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
 from pipeline.decode.chromatic_phase import ChromaticCorrection, chromatic_correction
+from pipeline.decode.color_cast import NONE, Cast, cast_of
 from pipeline.decode.kernels.color_gains import limits_of
 from pipeline.decode.kernels.color_texture import BANDS as COLOR_BANDS
 from pipeline.decode.kernels.color_texture import color_texture, rough_colors
@@ -116,13 +117,8 @@ class Decoder:
     ) -> None:
         chromatic = ChromaticCorrection.none(shifts) if chromatic is None else chromatic
         shifts, self._chromatic = chromatic.shifts, chromatic
-        rows = design(color, shifts)
-        self._rows = rows.astype(np.float32)
-        self._solve = np.linalg.inv(rows).astype(np.float32)
-        self._ideal = np.linalg.inv(design(ColorModel(), shifts)).astype(np.float32)
-        self._light, self._mix = light_of(shifts).astype(np.float32), color.mix.astype(np.float32)
+        self._color, self._plain = color, _Matrices.of(color, shifts, NONE)
         self._black = color.black.astype(np.float32)
-        self._unmix = color.unmix.astype(np.float32)
         self._mosaic = mosaic
         self._axis = "x" if abs(slopes[0]) > abs(slopes[1]) else "y"
         self._period_px = 2 * np.pi / max(abs(slopes[0]), abs(slopes[1]))
@@ -162,17 +158,27 @@ class Decoder:
         needed = error.any() or (factor != EVEN).any()
         self._correction = (correction_table(error), factor.astype(np.float32)) if needed else None
 
-    def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
-        """Phase of a raw image, (H, W, 3) three-chip or (H, W) mosaic; overwrites the last image's planes."""
+    def cast(self, image: NDArray[np.uint8]) -> Cast:
+        """Colour cast of a raw image."""
+        return cast_of(
+            image, self._mosaic, axis=self._axis, period_px=self._period_px, black=self._black, unmix=self._plain.unmix
+        )
+
+    def decode(self, image: NDArray[np.uint8], cast: Cast = NONE) -> PhaseMap:
+        """Phase of a raw image, (H, W, 3) three-chip or (H, W) mosaic; overwrites the last image's planes.
+
+        Args:
+            cast: whose gains and contrasts are made equal; the same for both cameras.
+        """
         image = read_only(image)
+        m = self._plain if cast is NONE else _Matrices.of(self._color, self._chromatic.shifts, cast)
         noise = self._noise(image)
         height, width = image.shape[:2]
         box = self._box(width, height)
         planes = self._scratch(height, width)
         mean, modulation = (np.empty((height, width), np.uint8) for _ in range(2))
         common = (
-            self._black, self._solve, self._mix, self._light, self._unmix, self._ideal, self._weights, self._radius,
-            self._nominal,
+            self._black, m.solve, m.mix, m.light, m.unmix, m.ideal, self._weights, self._radius, self._nominal,
             np.float32(self._settings.saturation), np.float32(noise.floor), np.float32(noise.gain),
             np.float32(self._settings.min_modulation), box.along, box.over, box.drops, np.float32(box.scale),
             self._colored_from, self._chromatic.table, self._chromatic.step,
@@ -182,7 +188,7 @@ class Decoder:
         if self._mosaic is None:
             decode_rgb(BANDS, image.reshape(height, 3 * width), *common)
         else:
-            decode_bayer(BANDS, image, self._mosaic, self._rows, *common)
+            decode_bayer(BANDS, image, self._mosaic, m.rows, *common)
         if self._correction is not None:
             correct_descriptors(height, *self._correction, planes["descriptors"])
         return PhaseMap(
@@ -208,8 +214,9 @@ class Decoder:
             samples, unit = colors, 1 / EIGHTHS
         out = np.empty((height, width, 3), np.uint8)
         color_texture(
-            COLOR_BANDS, samples, np.float32(unit), self._black, self._unmix, self._ideal, box.along, box.over,
-            box.drops, np.float32(box.scale), self._chromatic.table, self._chromatic.step, out.reshape(height, -1),
+            COLOR_BANDS, samples, np.float32(unit), self._black, self._plain.unmix, self._plain.ideal, box.along,
+            box.over, box.drops, np.float32(box.scale), self._chromatic.table, self._chromatic.step,
+            out.reshape(height, -1),
         )  # fmt: skip
         return out
 
@@ -234,6 +241,26 @@ class Decoder:
             image, along=0 if self._axis == "x" else 1, step=1 if self._mosaic is None else 2,
             saturation=self._settings.saturation,
         )  # fmt: skip
+
+
+class _Matrices(NamedTuple):
+    """Matrices (3, 3) float32 of the decoding kernels, whose arguments explain them."""
+
+    rows: F32
+    solve: F32
+    ideal: F32
+    light: F32
+    mix: F32
+    unmix: F32
+
+    @staticmethod
+    def of(color: ColorModel, shifts: tuple[float, float, float], cast: Cast) -> _Matrices:
+        """Of a camera whose images have this cast."""
+        light = light_of(shifts)
+        light[:, 1:] *= cast.contrasts[:, None]
+        mix, unmix = color.mix * cast.gains, color.unmix / cast.gains[:, None]
+        each = mix @ light, np.linalg.inv(mix @ light), np.linalg.inv(light), light, mix, unmix
+        return _Matrices(*(matrix.astype(np.float32) for matrix in each))
 
 
 def design(color: ColorModel, shifts: tuple[float, float, float]) -> NDArray[np.float64]:

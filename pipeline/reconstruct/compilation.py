@@ -83,7 +83,7 @@ def _decode(encoding: str) -> None:
     deep = (3,) if encoding == "rgb8" else ()
     image = np.random.default_rng(0).integers(40, 200, (HEIGHT, WIDTH, *deep), np.uint8)
     decoder = small_reconstructor(encoding).decoders[0]
-    decoder.decode(image)
+    decoder.decode(image, decoder.cast(image))
     decoder.color(image)
 
 

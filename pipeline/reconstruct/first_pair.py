@@ -51,6 +51,9 @@ class Calibrating(Protocol):
     gain: float
     scan: ColumnScan | None
 
+    def decode(self, left: NDArray[Any], right: NDArray[Any], /) -> tuple[PhaseMap, PhaseMap]:
+        """Phases of a pair of raw images, valid until the next call."""
+
     def match(self, left: PhaseMap, right: PhaseMap, /) -> MatchResult:
         """The match of every left pixel, valid until the next call."""
 
@@ -182,9 +185,10 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
         made.correction = column_correction.affine_fit(along, across, difference, limit=limit)
     middle = (np.median(along), np.median(across)) if len(along) else (0.0, 0.0)
     here = float(made.correction @ (1.0, *middle))
-    cost = mean_of(made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE))
+    corrected = made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE)
+    likelihood = column_correction.OffsetLikelihood.of(np.append(tried, here), [*all_costs, corrected])
     made.gain = likelihood.at(here)
-    made.other_shifts = column_correction.other_shifts(offsets, with_margin, likelihood, here, cost)
+    made.other_shifts = column_correction.other_shifts(offsets, with_margin, likelihood, here, mean_of(corrected))
     return match
 
 
@@ -223,7 +227,7 @@ def _with_response(
 ) -> tuple[PhaseMap, PhaseMap]:
     """Phases of a pair of raw images after a part of the response was changed."""
     made.set_response(_changed(made.response, part, values))
-    return made.decoders[0].decode(left), made.decoders[1].decode(right)
+    return made.decode(left, right)
 
 
 def _changed(response: F64, part: int | slice, values: Any) -> F64:

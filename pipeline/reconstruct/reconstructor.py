@@ -217,13 +217,18 @@ class Reconstructor:
         right = checked(right, "right", self.encoding, self.calibration.right.size)
         if not use_prior:
             self.clear_prior()
-        maps = self.decoders[0].decode(left), self.decoders[1].decode(right)
+        maps = self.decode(left, right)
         watch.lap("decode")
         if not self.calibrated and first_pair.has_points(self, *maps):
             maps = first_pair.calibrate(self, left, right, maps)
             watch.lap("self_calibration")
         self._maps = maps
         return *maps, self._orders(*maps, watch, use_prior=use_prior)
+
+    def decode(self, left: NDArray[Any], right: NDArray[Any]) -> tuple[PhaseMap, PhaseMap]:
+        """Phases of a pair of raw images, valid until the next call, without the left image's colour cast."""
+        cast = self.decoders[0].cast(left)
+        return self.decoders[0].decode(left, cast), self.decoders[1].decode(right, cast)
 
     def clear_prior(self) -> None:
         """Search the next pair in full."""

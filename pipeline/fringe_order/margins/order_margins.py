@@ -48,8 +48,8 @@ AMBIGUOUS_SHARE = 0.35
 CLEAR_GAIN, CLEAR_SHARE = 0.03, 0.5
 """The same where pixels agree with the projector's offset up to noise and the fringes do not repeat: gain in log
 likelihood from which they do, see :class:`pipeline.reconstruct.column_correction.OffsetLikelihood`."""
-VAGUE_GAIN, VAGUE_SHARE = 0.01, 0.25
-"""The same where hardly any does, and another offset explains the pair as well: all of a wall may have wrong orders."""
+VAGUE_GAIN, VAGUE_SHARE = 0.1, 0.25
+"""The same where few do, and another offset explains the pair as well: all of a wall may have wrong orders."""
 MOST_REJECTED = 0.25
 """Share of the pixels of all surfaces that may be rejected where the fringes repeat. Where more are, orders that win
 clearly are wrong as well, and groups with which any other order competes get no points."""
@@ -108,9 +108,9 @@ class Limits(NamedTuple):
     @property
     def ambiguous_share(self) -> float:
         """Share of its pixels in ambiguous cells from which a large surface is rejected."""
-        if self.gain >= CLEAR_GAIN and self.even < 0:
-            return CLEAR_SHARE
-        return VAGUE_SHARE if len(self.shifts) and self.gain < VAGUE_GAIN else AMBIGUOUS_SHARE
+        if len(self.shifts) and self.gain < VAGUE_GAIN:
+            return VAGUE_SHARE
+        return CLEAR_SHARE if self.gain >= CLEAR_GAIN and self.even < 0 else AMBIGUOUS_SHARE
 
     @property
     def most_rejected(self) -> float:

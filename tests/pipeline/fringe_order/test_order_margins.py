@@ -107,7 +107,9 @@ def test_large_surfaces_are_sampled_and_rejected_in_cells() -> None:
     # One cell of fifteen is known by its neighbours; six of them are not, four where the offset is vague, eight where
     # pixels agree with it.
     alone, vague = (Limits(0.05, np.empty(n)).ambiguous_share for n in (0, 1))
-    usual, clear = (Limits(0.05, np.ones(1), gain=gain).ambiguous_share for gain in (0.02, 0.03))
+    usual, clear = (Limits(0.05, np.empty(0), gain=gain).ambiguous_share for gain in (0.02, 0.03))
+    assert vague == Limits(0.05, np.ones(1), gain=0.09).ambiguous_share
+    assert clear == Limits(0.05, np.ones(1), gain=0.1).ambiguous_share
     assert usual == alone == Limits(0.05, np.empty(0), even=0.0, gain=1.0).ambiguous_share  # where the fringes repeat
     assert clear == Limits(0.05, np.empty(0), gain=1.0).ambiguous_share
     for most, kept in ((alone, 5), (vague, 3), (clear, 7)):

@@ -60,7 +60,26 @@ def test_the_white_balance_of_one_camera_displaces_nothing() -> None:
     assert wrong.rms_mm > 2 * equal.rms_mm
 
 
-@pytest.mark.parametrize("factor", [0.4, 0.6, 1.5])
+@pytest.mark.parametrize("light", ["coloured lamp", "coloured ambient light"])
+def test_a_colour_of_the_light_costs_few_points(light: str) -> None:
+    """Both cameras see it; the phases are those of white light, and so are the published colours' ratios."""
+    color = np.array([1.25, 1.0, 0.75], np.float32)
+    change = {
+        "coloured lamp": lambda counts: color * counts,
+        "coloured ambient light": lambda counts: counts + 60 * (color - 0.7),
+    }
+    _, _, equal = _measured(*_pair("mixed"))
+    (left, right), truth = stored(_light, "mixed")
+    images = with_noise((change[light](left), change[light](right)), Optics(), 3, "rgb8")
+    made, _, found = _measured(*images, truth)
+    assert found.covered > equal.covered - 0.01
+    assert found.rms_mm < 1.15 * equal.rms_mm
+    assert 0.75 < found.error_to_sigma < 1.3
+    np.testing.assert_array_equal(made.response[:3], 1)
+    assert made.warnings == ()
+
+
+@pytest.mark.parametrize("factor", [0.35, 0.6, 1.5])
 def test_a_camera_of_another_brightness_costs_few_points(factor: float) -> None:
     _, _, equal = _measured(*_pair("mixed"))
     made, _, found = _measured(*_pair("mixed", lambda counts: np.float32(factor) * counts))
@@ -100,12 +119,12 @@ def test_a_lens_that_darkens_the_corners_or_one_side_costs_few_points(brightness
         assert cloud.points > without.reconstruct(*images[:2]).points
 
 
-def test_where_fringes_repeat_ordinary_lenses_make_few_points_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both lenses darken their corners by 30 %: a surface point is nearer to the corner in one image."""
+def test_where_fringes_repeat_lenses_make_few_points_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both lenses darken their corners by half: a surface point is nearer to the corner in one image."""
     middle = replace(LAYOUT, projector_fraction=0.5)
     pattern, optics, scene, volume = middle.pattern(PERIODS), Optics(), build("mixed"), middle.volume()
     v, u = np.indices(middle.camera_size[::-1])
-    shape = over_the_image(u.ravel(), v.ravel(), middle.camera_size) @ (1.0, 0, 0, -0.15, 0, -0.15, 0)
+    shape = over_the_image(u.ravel(), v.ravel(), middle.camera_size) @ (1.0, 0, 0, -0.25, 0, -0.25, 0)
     counts = [
         shape.reshape((*u.shape, 1)).astype(np.float32) * one for one in render_counts(middle, scene, pattern, optics)
     ]
@@ -121,8 +140,8 @@ def test_where_fringes_repeat_ordinary_lenses_make_few_points_wrong(monkeypatch:
     assert made.repeats and (made.response[VIGNETTING] != EQUAL[VIGNETTING]).any()
     monkeypatch.setattr(camera_response, "vignetting_of_points", lambda *_, **__: EQUAL[VIGNETTING])
     _, without = measured()
-    assert found.covered > without.covered
-    assert found.wrong < 0.3 * without.wrong and found.false_surfaces < without.false_surfaces
+    assert found.covered > without.covered + 0.02
+    assert found.wrong < 0.4 * without.wrong
 
 
 @pytest.mark.parametrize("deviation", [0.25, pytest.param(0.15, marks=pytest.mark.long)])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from benchmarks.reconstruction.cases import random_case, scaled
 from benchmarks.reconstruction.random_rigs import random_rig
 from benchmarks.trust import errors_of
+from pipeline.fringe_order.margins.order_margins import CLEAR_GAIN
 from pipeline.reconstruct.column_correction import (
     CLEARLY_MORE,
     COMPARED_WITHIN,
@@ -54,8 +55,14 @@ def test_offsets_that_explain_a_pair_as_well_are_compared() -> None:
     assert len(other_shifts(offsets, costs, none, 0.2, 0.05)) == 0
     alike = np.full(5, 0.1)
     assert other_shifts(offsets, alike, none, 0.2, 0.1) == pytest.approx([-0.2, -0.45, -0.1, -0.225])
-    # Offsets that are much larger are less probable: a bare plane fits at some of them.
-    assert len(other_shifts(offsets, alike, none, 0.0, 0.1)) == 0
+    # Offsets that are much larger are less probable where pixels agree up to noise: a bare plane fits at some of them.
+    clear = OffsetLikelihood(offsets, np.full(5, CLEAR_GAIN))
+    assert len(other_shifts(offsets, 0.1 + np.array([0, 0.01, 0.01, 0.02, 0.02]), clear, 0.0, 0.1)) == 0
+    # Where hardly any do, nothing says that they are.
+    assert other_shifts(offsets, alike, none, 0.0, 0.1) == pytest.approx([-0.25, 0.25, -0.125, 0.125])
+    vague = OffsetLikelihood(np.append(offsets, 2.0), np.array([0.02, 0.0, 0.0, 0.0, 0.01, 1.0]))
+    assert len(other_shifts(offsets, alike, vague, 0.0, 0.1)) == 4  # near the chosen one
+    assert len(other_shifts(4 * offsets, alike, vague, 0.0, 0.1)) == 0
     # Nor do those explain the pair at which clearly fewer pixels agree up to noise.
     assert other_shifts(offsets, alike, none, 0.6, 0.1) == pytest.approx([-0.6, -0.85, -0.3, -0.425])
     fewer = OffsetLikelihood(offsets, np.array([0.1, 0.1, 0.1, 0.1, 0.3]))
@@ -110,13 +117,14 @@ def test_finer_offsets_are_beside_the_least_costs() -> None:
 
 def test_a_minimum_of_its_own_is_compared_from_farther_where_pixels_agree_up_to_noise() -> None:
     offsets = np.array([0.0, -0.25, 0.25, -0.5, 0.5])
-    alike, own = np.full(5, 0.1), np.array([0.1, 0.09, 0.11, 0.12, 0.12])
+    own = np.array([0.1, 0.09, 0.11, 0.12, 0.12])
     agreeing = np.array([0.1, 0.1, 0.0, 0.0, 0.0])
     assert other_shifts(offsets, own, OffsetLikelihood(offsets, agreeing), 0.0, 0.1) == pytest.approx([-0.25, -0.125])
-    assert len(other_shifts(offsets, own, OffsetLikelihood(offsets, agreeing / 10), 0.0, 0.1)) == 0
+    assert other_shifts(offsets, own, OffsetLikelihood(offsets, agreeing / 10), 0.0, 0.1) == pytest.approx(
+        [-0.25, 0.25, -0.125, 0.125]
+    )  # fmt: skip
     slope = np.array([0.1, 0.11, 0.11, 0.12, 0.12])  # beside the chosen one, and no minimum
     assert len(other_shifts(offsets, slope, OffsetLikelihood(offsets, agreeing), 0.0, 0.1)) == 0
-    assert len(other_shifts(offsets, alike, OffsetLikelihood(offsets, 0 * agreeing), 0.0, 0.1)) == 0
 
 
 @pytest.mark.long
