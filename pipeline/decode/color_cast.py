@@ -54,10 +54,11 @@ def cast_of(
         samples = np.moveaxis(image[: 2 * height, : 2 * width].reshape(height, 2, width, 2), 1, 2)
         # The mean of both green samples, a pixel apart along the fringes, keeps a part of their contrast.
         size, channels, kept = 2, mosaic, np.array([1, np.cos(np.pi / period_px), 1])
-    rows = (samples if axis == "x" else np.swapaxes(samples, 0, 1))[_ROWS // size // 2 :: _ROWS // size]
+    along = samples if axis == "x" else np.swapaxes(samples, 0, 1)
+    rows = np.array(along[_ROWS // size // 2 :: _ROWS // size], order="C")  # a copy: one type for the kernel
     length = max(round(_PERIODS * period_px / size), 1)
     sums = np.zeros((len(rows), rows.shape[1] // length, 3, 4))
-    _sum_segments(rows, channels, 1 / np.bincount(channels.ravel(), minlength=3), length, sums)
+    _sum_segments(rows, np.array(channels), 1 / np.bincount(channels.ravel(), minlength=3), length, sums)
     means, products = sums[..., 3].reshape(-1, 3) / length, sums[..., :3].reshape(-1, 3, 3) / length
     back = np.asarray(unmix, np.float64)
     covariance = (products - means[:, :, None] * means[:, None]) / (kept[:, None] * kept)
