@@ -58,7 +58,7 @@ def test_offsets_that_explain_a_pair_as_well_are_compared() -> None:
     # Offsets that are much larger are less probable where pixels agree up to noise: a bare plane fits at some of them.
     clear = OffsetLikelihood(offsets, np.full(5, CLEAR_GAIN))
     assert len(other_shifts(offsets, 0.1 + np.array([0, 0.01, 0.01, 0.02, 0.02]), clear, 0.0, 0.1)) == 0
-    # Where hardly any do, nothing says that they are.
+    # Where hardly any do, all of them are compared.
     assert other_shifts(offsets, alike, none, 0.0, 0.1) == pytest.approx([-0.25, 0.25, -0.125, 0.125])
     vague = OffsetLikelihood(np.append(offsets, 2.0), np.array([0.02, 0.0, 0.0, 0.0, 0.01, 1.0]))
     assert len(other_shifts(offsets, alike, vague, 0.0, 0.1)) == 4  # near the chosen one
