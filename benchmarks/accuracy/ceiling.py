@@ -55,7 +55,7 @@ def _shares(case: Case, seed: int) -> list[float]:
 
 def _right_with_true_orders(made: Reconstructor, pair: Any, truth: Truth) -> Bools:
     """Pixels (H, W) whose match has an error below 1 mm when the order is the true one."""
-    left, right = made.decoders[0].decode(pair.left), made.decoders[1].decode(pair.right)
+    left, right = made.decode(pair.left, pair.right)
     known = truth.scorable & left.valid
     pixels = made.calibration.projector.project(np.where(known[..., None], truth.xyz, [0.0, 0.0, 1000.0]))
     where = pixels[..., 0 if made.pattern.axis == "x" else 1]
