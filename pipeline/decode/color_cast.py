@@ -35,13 +35,13 @@ class Cast(NamedTuple):
     contrasts: F64
 
 
-NONE = Cast(np.ones(3), np.ones(3))
+NO_CAST = Cast(np.ones(3), np.ones(3))
 
 
 def cast_of(
     image: NDArray[np.uint8], mosaic: NDArray[np.int64] | None, *, axis: str, period_px: float, black: Any, unmix: Any
 ) -> Cast:
-    """The cast; :data:`NONE` where most surfaces share no colour.
+    """The cast; :data:`NO_CAST` where most surfaces share no colour.
 
     Args:
         image: raw, (H, W, 3), or (H, W) of a mosaic; mosaic: (2, 2) channel numbers.
@@ -73,7 +73,7 @@ def cast_of(
 def _shared(colors: F64, contrasts: F64) -> Cast:
     """The cast of segments with colours (3, n) and contrasts (3, m)."""
     if colors.shape[1] < _LEAST_SEGMENTS:
-        return NONE
+        return NO_CAST
     colors = colors * (3 / colors.sum(axis=0))
     for near in (np.median(colors, axis=1), np.ones(3)):
         gains = _mean_near(colors, near)
@@ -82,7 +82,7 @@ def _shared(colors: F64, contrasts: F64) -> Cast:
             if contrasts.shape[1] >= _LEAST_SEGMENTS:
                 relative = np.median(contrasts / contrasts.mean(axis=0), axis=1)
             return Cast(_shrunk(gains, SMALL_GAIN), _shrunk(relative / relative.mean(), SMALL_CONTRAST))
-    return NONE
+    return NO_CAST
 
 
 @serial

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
 from pipeline.decode.chromatic_phase import ChromaticCorrection, chromatic_correction
-from pipeline.decode.color_cast import NONE, Cast, cast_of
+from pipeline.decode.color_cast import NO_CAST, Cast, cast_of
 from pipeline.decode.kernels.color_gains import limits_of
 from pipeline.decode.kernels.color_texture import BANDS as COLOR_BANDS
 from pipeline.decode.kernels.color_texture import color_texture, rough_colors
@@ -117,7 +117,7 @@ class Decoder:
     ) -> None:
         chromatic = ChromaticCorrection.none(shifts) if chromatic is None else chromatic
         shifts, self._chromatic = chromatic.shifts, chromatic
-        self._color, self._plain = color, _Matrices.of(color, shifts, NONE)
+        self._color, self._plain = color, _Matrices.of(color, shifts, NO_CAST)
         self._black = color.black.astype(np.float32)
         self._mosaic = mosaic
         self._axis = "x" if abs(slopes[0]) > abs(slopes[1]) else "y"
@@ -164,14 +164,14 @@ class Decoder:
             image, self._mosaic, axis=self._axis, period_px=self._period_px, black=self._black, unmix=self._plain.unmix
         )
 
-    def decode(self, image: NDArray[np.uint8], cast: Cast = NONE) -> PhaseMap:
+    def decode(self, image: NDArray[np.uint8], cast: Cast = NO_CAST) -> PhaseMap:
         """Phase of a raw image, (H, W, 3) three-chip or (H, W) mosaic; overwrites the last image's planes.
 
         Args:
             cast: whose gains and contrasts are made equal; the same for both cameras.
         """
         image = read_only(image)
-        m = self._plain if cast is NONE else _Matrices.of(self._color, self._chromatic.shifts, cast)
+        m = self._plain if cast is NO_CAST else _Matrices.of(self._color, self._chromatic.shifts, cast)
         noise = self._noise(image)
         height, width = image.shape[:2]
         box = self._box(width, height)

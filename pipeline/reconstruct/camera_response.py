@@ -223,9 +223,9 @@ def _sizes(error: F64) -> F64:
 
 
 def _brighter(ratio: float, least: float) -> float:
-    return (
-        float(np.clip(ratio, 1 / _BRIGHTEST, _BRIGHTEST)) if abs(np.log(max(ratio, 1e-3))) >= np.log1p(least) else 1.0
-    )
+    if abs(np.log(max(ratio, 1e-3))) < np.log1p(least):
+        return 1.0
+    return float(np.clip(ratio, 1 / _BRIGHTEST, _BRIGHTEST))
 
 
 def with_gains(color: ColorModel, gains: F64) -> ColorModel:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.common.settings import Settings
-from pipeline.decode.color_cast import NONE, SMALL_GAIN, Cast
+from pipeline.decode.color_cast import NO_CAST, SMALL_GAIN, Cast
 from pipeline.decode.decoder import Decoder
 from pipeline.decode.raw_image import BAYER, mosaic_of
 from tests.pipeline.decode.images import COLOR, INNER, SHIFTS, decoder, light, mosaic, smooth_phase, wrapped
@@ -77,12 +77,12 @@ def test_a_strongly_coloured_part_does_not_count() -> None:
 
 def test_surfaces_of_many_strong_colours_share_none() -> None:
     colors = ORANGE[(np.arange(3) - np.arange(SHAPE[1])[:, None] // 110) % 3]
-    assert decoder().cast(seen(colors, albedo=0.7)) is NONE
+    assert decoder().cast(seen(colors, albedo=0.7)) is NO_CAST
 
 
 @pytest.mark.parametrize("light_of", [{"amplitude": 0.0}, {"albedo": 0.02}])
 def test_without_fringes_there_is_no_cast(light_of: dict[str, float]) -> None:
-    assert decoder().cast(seen(GAINS, noise=1.0, **light_of)) is NONE
+    assert decoder().cast(seen(GAINS, noise=1.0, **light_of)) is NO_CAST
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
@@ -92,7 +92,7 @@ def test_an_image_without_its_cast_has_the_phase_of_a_white_one(encoding: str) -
     made = decoder(encoding, read_noise=1.0)
     expected = made.decode(white)
     phase, normalised = expected.phase.copy(), expected.phase_normalised
-    own = 80 + 0.8 * 0 + AMBIENT / 0.8
+    own = 80 + AMBIENT / 0.8
     for raw, cast in ((colored, Cast(GAINS, np.ones(3))), (lit, Cast(relative(own), relative(1 / own)))):
         assert np.abs(wrapped(made.decode(raw).phase - phase))[INNER].max() > 0.1
         found = made.decode(raw, cast)

@@ -62,7 +62,7 @@ def test_the_white_balance_of_one_camera_displaces_nothing() -> None:
 
 @pytest.mark.parametrize("light", ["coloured lamp", "coloured ambient light"])
 def test_a_colour_of_the_light_costs_few_points(light: str) -> None:
-    """Both cameras see it; the phases are those of white light, and so are the published colours' ratios."""
+    """Both cameras see it: the phases are those of white light, and no camera is at fault."""
     color = np.array([1.25, 1.0, 0.75], np.float32)
     change = {
         "coloured lamp": lambda counts: color * counts,
