@@ -41,11 +41,13 @@ class OrderSearch:
         for level in (self._coarse, self._fine):
             level.weight_texture(share)
 
-    def least_costs(self, reference: PhaseMap, other: PhaseMap, correction: F64, *, stride: int) -> NDArray[np.float32]:
+    def least_costs(
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, *, stride: int, texture: float = UNCALIBRATED
+    ) -> NDArray[np.float32]:
         """(n,) least cost of each pixel with two candidates at least, on every n-th lattice row."""
         level = self._fine
         level.certain[:] = semi_global_aggregation.NONE
-        level.search_rows(reference, other, correction, UNCALIBRATED, NO_PRIOR, stride)
+        level.search_rows(reference, other, correction, texture, NO_PRIOR, stride)
         some = level.count[::stride] >= 2
         first = level.place[::stride][some]
         # Of every two segments the second one is what lies between a pixel's candidates and the next one's.

@@ -45,9 +45,9 @@ _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
 """Shares of such pixels that are tried."""
 _REFINED = 6
 """Minima of the mean cost about which finer offsets are tried."""
-_CLEAR_RATIO, _NEAR = 1.5, 0.3
+CLEAR_RATIO, _NEAR = 1.5, 0.3
 """How many times the gain near the chosen offset that of one which replaces it must be, and what is near, columns."""
-_SAME, _FARTHER, _MINIMUM_FARTHER, _VAGUE_FARTHER, _MOST_OTHERS = 0.1, 0.2, 0.3, 0.5, 2
+_SAME, FARTHER, _MINIMUM_FARTHER, _VAGUE_FARTHER, _MOST_OTHERS = 0.1, 0.2, 0.3, 0.5, 2
 """Distance up to which offsets are alike, columns; how much farther from 0 another one may be, as projectors drift
 little, the second one where it is a minimum of its own and pixels agree up to noise, the third one where hardly any
 pixels do; how many others are compared."""
@@ -137,7 +137,7 @@ class OffsetLikelihood(NamedTuple):
         probable = self.gain / (1 + np.abs(self.offsets))
         best = int(np.argmax(probable))
         here = float(probable[np.abs(self.offsets - chosen) <= _NEAR].max(initial=0.0))
-        clearly = self.gain[best] > CLEAR_GAIN and probable[best] > _CLEAR_RATIO * here
+        clearly = self.gain[best] > CLEAR_GAIN and probable[best] > CLEAR_RATIO * here
         return float(self.offsets[best]) if clearly else chosen
 
 
@@ -168,14 +168,18 @@ def other_shifts(offsets: F64, with_margin: F64, likelihood: OffsetLikelihood, h
     probable = with_margin + PER_COLUMN * np.abs(offsets)
     limit = min(float(probable.min()), cost + PER_COLUMN * abs(here)) + CLEARLY_MORE
     gain = likelihood.near(here)
-    farther = np.full(len(offsets), _FARTHER if gain >= CLEAR_GAIN else _VAGUE_FARTHER)
+    farther = np.full(len(offsets), FARTHER if gain >= CLEAR_GAIN else _VAGUE_FARTHER)
     if gain >= CLEAR_GAIN:
         farther[minima(offsets, with_margin)] = _MINIMUM_FARTHER
     small = np.abs(offsets) <= abs(here) + farther
-    least = np.where((gain >= CLEAR_GAIN) | (np.abs(offsets) > abs(here) + _FARTHER), gain / _CLEAR_RATIO, 0.0)
+    least = np.where((gain >= CLEAR_GAIN) | (np.abs(offsets) > abs(here) + FARTHER), gain / CLEAR_RATIO, 0.0)
     agreeing = np.array([likelihood.near(offset) for offset in offsets]) >= least
     others = np.flatnonzero((probable <= limit) & small & agreeing & (np.abs(offsets - here) >= _SAME))
-    shifts = offsets[others[np.argsort(probable[others], kind="stable")][:_MOST_OTHERS]] - here
+    return with_halves(offsets[others[np.argsort(probable[others], kind="stable")][:_MOST_OTHERS]] - here)
+
+
+def with_halves(shifts: F64) -> F64:
+    """Changes (n,) of the offset as :func:`other_shifts` returns them, (2 n,)."""
     return np.asarray(np.concatenate([shifts, shifts / 2]), dtype=np.float64)
 
 

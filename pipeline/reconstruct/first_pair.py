@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from pipeline.common.settings import Settings
 from pipeline.decode.decoder import Decoder, PhaseMap
 from pipeline.filter.texture_agreement import scale_of
-from pipeline.fringe_order.order_search import OrderSearch
+from pipeline.fringe_order.margins.order_margins import VAGUE_GAIN
+from pipeline.fringe_order.order_search import UNCALIBRATED, OrderSearch
 from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import MatchResult
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import camera_response, column_correction
-from pipeline.reconstruct.column_correction import Correction
+from pipeline.reconstruct.column_correction import Correction, CorrectionState
 from pipeline.reconstruct.consistency import LEAST_PIXELS, ColumnScan, relative_cost
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
@@ -30,6 +31,11 @@ _STRIDE, _SCAN_STRIDE, _ACROSS_STRIDE, _CURRENT_STRIDE = 8, 16, 4, 32
 """Distance of the lattice rows whose costs are averaged, of the search, of the scan and of every later pair."""
 _HALF_STEP = 0.125
 """Columns from an offset of the search to one between it and the next: costs fall to those of noise within 0.1 only."""
+_LOW_GAIN, _LITTLE_TEXTURE = 0.3, 0.1
+"""Gain in log likelihood below which costs with so small a share of the texture's weight are tried as well: unequal
+brightness hides that right orders agree."""
+_NO_GAIN, _COMPARED = 0.005, 0.75
+"""Gain that is no evidence; columns from 0 within which other offsets are compared where hardly any pixels agree."""
 _DISPLACEMENTS_PX = (1, 2, 3, 5, 7, 10, 14, 20)
 
 
@@ -56,6 +62,12 @@ class Calibrating(Protocol):
 
     def match(self, left: PhaseMap, right: PhaseMap, /) -> MatchResult:
         """The match of every left pixel, valid until the next call."""
+
+    def state(self) -> CorrectionState:
+        """What :meth:`restore` takes."""
+
+    def restore(self, kept: CorrectionState, /) -> None:
+        """Set correction and response, without a prior."""
 
     def set_response(self, response: NDArray[np.float64], /) -> None:
         """Set the response (19,), see :mod:`.camera_response`."""
@@ -107,12 +119,65 @@ def calibrate(
             break
         maps = _with_response(made, camera_response.VIGNETTING, factor, left, right)
         match = calibrate_columns(made, *maps)
+    if made.gain < VAGUE_GAIN:
+        maps, match = compared_with_others(made, left, right, maps)
     contrast = camera_response.contrast_of_points(*maps, match, made.left.first_axis)
     share = camera_response.texture_share(maps[0], maps[1].with_corrected_mean(), match)
     kept = _changed(made.response, camera_response.CONTRAST, contrast)
     made.set_response(_changed(kept, camera_response.TEXTURE, share))
     made.scan = scan_columns(made, *maps)
     return maps
+
+
+def compared_with_others(
+    made: Calibrating, left: NDArray[Any], right: NDArray[Any], maps: tuple[PhaseMap, PhaseMap]
+) -> tuple[tuple[PhaseMap, PhaseMap], MatchResult]:
+    """Phases and match at the offset that is the most probable with the brightness which its own matches have.
+
+    Brightness is measured at matched points. Measured at those of a wrong offset, it makes this one more probable.
+    """
+    first, limit = made.searches[0], made.settings.self_calibration_range + 1.0
+    offsets = column_correction.offsets_to_try(made.settings.self_calibration_range)
+    costs = [first.least_costs(*maps, np.array([each, 0.0, 0.0]), stride=_STRIDE) for each in offsets]
+    costs.append(first.least_costs(*maps, made.correction, stride=_STRIDE))
+    states, places, shifts = [made.state()], [_in_the_middle(made)], made.other_shifts
+    even = _changed(made.response, camera_response.VIGNETTING, camera_response.EQUAL[camera_response.VIGNETTING])
+    for offset in offsets[np.abs(offsets) <= _COMPARED]:
+        made.set_response(even)
+        maps = made.decode(left, right)
+        made.correction = np.array([offset, 0.0, 0.0])
+        made.clear_prior()
+        match = made.match(*maps)
+        difference, along, across = column_correction.column_differences(made.left, match, made.correction)
+        if len(difference) < _LEAST_POINTS:
+            continue
+        made.correction = column_correction.affine_fit(along, across, difference, limit=limit)
+        brightness = camera_response.brightness_of_points(*maps, match)
+        factor = camera_response.vignetting_of_points(*maps, match, brightness, repeats=made.repeats)
+        bright = _changed(even, camera_response.BRIGHTNESS, brightness)
+        made.set_response(_changed(bright, camera_response.VIGNETTING, factor))
+        costs.append(first.least_costs(*made.decode(left, right), made.correction, stride=_STRIDE))
+        states.append(made.state())
+        places.append(_in_the_middle(made))
+    likelihood = column_correction.OffsetLikelihood.of(np.concatenate([offsets, places]), costs)
+    gains = np.where(likelihood.gain < _NO_GAIN, 0.0, likelihood.gain)
+    probable = (gains / (1 + np.abs(likelihood.offsets)))[len(offsets) :]
+    best = int(np.argmax(probable))
+    clearly = probable[best] > column_correction.CLEAR_RATIO * probable[0]
+    made.restore(states[best if clearly else 0])
+    maps = made.decode(left, right)
+    if clearly:
+        return maps, calibrate_columns(made, *maps, chosen=places[best])
+    shift = places[best] - places[0]
+    others = [*shifts[: len(shifts) // 2], *([shift] if abs(shift) >= column_correction.FARTHER else [])]
+    made.other_shifts = column_correction.with_halves(np.array(others))
+    return maps, made.match(*maps)
+
+
+def _in_the_middle(made: Calibrating) -> float:
+    """The correction in the middle of the projector's image, columns."""
+    middle = (np.array(made.pattern.size) - 1.0) / 2
+    return float(made.correction @ (1.0, middle[made.left.first_axis], middle[1 - made.left.first_axis]))
 
 
 def scan_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> ColumnScan | None:
@@ -136,11 +201,7 @@ def scan_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> ColumnSc
     corrected = search.least_costs(left, right, made.correction, stride=_STRIDE)
     current = _current_quartile(made, left, right)
     made.clear_prior()
-    middle = (np.array(made.pattern.size) - 1.0) / 2
-    along, beside = middle[made.left.first_axis], middle[1 - made.left.first_axis]
-    return ColumnScan.of(
-        offsets, costs, largest, across, corrected, float(made.correction @ (1.0, along, beside)), current
-    )
+    return ColumnScan.of(offsets, costs, largest, across, corrected, _in_the_middle(made), current)
 
 
 def current_cost(made: Calibrating, left: PhaseMap, right: PhaseMap, scan: ColumnScan) -> float | None:
@@ -155,13 +216,19 @@ def _current_quartile(made: Calibrating, left: PhaseMap, right: PhaseMap) -> flo
     return float(np.quantile(costs, 0.25)) if len(costs) >= LEAST_PIXELS else np.nan
 
 
-def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> MatchResult:
-    """Find the projector's column correction from a pair and keep it; returns the match, valid until the next."""
+def calibrate_columns(
+    made: Calibrating, left: PhaseMap, right: PhaseMap, *, chosen: float | None = None
+) -> MatchResult:
+    """Find the projector's column correction from a pair and keep it; returns the match, valid until the next.
+
+    Args:
+        chosen: the offset where it is known, columns.
+    """
     inside = OrderSearch(View.of(made.calibration, made.pattern, made.volume, made.settings), by_brightness=False)
     offsets = column_correction.offsets_to_try(made.settings.self_calibration_range)
 
-    def costs(search: OrderSearch, offset: float) -> NDArray[np.float32]:
-        return search.least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=_STRIDE)
+    def costs(search: OrderSearch, offset: float, texture: float = UNCALIBRATED) -> NDArray[np.float32]:
+        return search.least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=_STRIDE, texture=texture)
 
     tried = np.concatenate([offsets, offsets[:-1] + _HALF_STEP])
     all_costs = [costs(made.searches[0], each) for each in tried]
@@ -174,7 +241,14 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
         offsets, with_margin, np.array([mean_of(costs(inside, each)) for each in offsets])
     )
     likelihood = column_correction.OffsetLikelihood.of(tried, all_costs)
-    chosen = likelihood.clear_offset(_best_of_minima(made, left, right, offsets, values))
+    texture = UNCALIBRATED
+    if likelihood.gain.max() < _LOW_GAIN:
+        less = [costs(made.searches[0], each, _LITTLE_TEXTURE) for each in tried]
+        other = column_correction.OffsetLikelihood.of(tried, less)
+        if other.gain.max() > likelihood.gain.max():
+            texture, likelihood, all_costs = _LITTLE_TEXTURE, other, less
+    if chosen is None:
+        chosen = likelihood.clear_offset(_best_of_minima(made, left, right, offsets, values))
     made.correction = np.array([chosen, 0.0, 0.0])
     made.calibrated = True
     made.clear_prior()
@@ -186,7 +260,8 @@ def calibrate_columns(made: Calibrating, left: PhaseMap, right: PhaseMap) -> Mat
     middle = (np.median(along), np.median(across)) if len(along) else (0.0, 0.0)
     here = float(made.correction @ (1.0, *middle))
     corrected = made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE)
-    likelihood = column_correction.OffsetLikelihood.of(np.append(tried, here), [*all_costs, corrected])
+    last = made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE, texture=texture)
+    likelihood = column_correction.OffsetLikelihood.of(np.append(tried, here), [*all_costs, last])
     made.gain = likelihood.at(here)
     made.other_shifts = column_correction.other_shifts(offsets, with_margin, likelihood, here, mean_of(corrected))
     return match

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.decode.pixel_descriptor import over_the_image
-from pipeline.reconstruct import camera_response
+from pipeline.reconstruct import camera_response, first_pair
 from pipeline.reconstruct.camera_response import EQUAL, ERROR, TEXTURE, VIGNETTING
 from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.evaluate.point_errors import point_errors
@@ -159,10 +159,14 @@ def test_surfaces_that_reflect_otherwise_to_both_cameras_cost_few_points(deviati
     assert found.covered > equal.covered - 0.03
     assert found.wrong < equal.wrong + 0.001
     assert 0.7 < found.error_to_sigma < 1.3
-    without = reconstructor()
+    without, hidden = reconstructor(), reconstructor()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(camera_response, "texture_share", lambda *_: 1.0)
         assert without.reconstruct(left, right).points < cloud.points
+        # With all of the texture's weight hardly any pixels would agree with the projector's offset up to noise.
+        patch.setattr(first_pair, "_LOW_GAIN", 0.0)
+        hidden.reconstruct(left, right)
+    assert made.gain > max(0.3, 2 * hidden.gain)
     other = reconstructor()
     other.restore(made.state())
     np.testing.assert_array_equal(other.reconstruct(left, right).xyz, made.reconstruct(left, right).xyz)

@@ -10,6 +10,8 @@ from benchmarks.reconstruction.cases import random_case, scaled
 from benchmarks.reconstruction.random_rigs import random_rig
 from benchmarks.trust import errors_of
 from pipeline.fringe_order.margins.order_margins import CLEAR_GAIN
+from pipeline.reconstruct import first_pair
+from pipeline.reconstruct.camera_response import BRIGHTNESS
 from pipeline.reconstruct.column_correction import (
     CLEARLY_MORE,
     COMPARED_WITHIN,
@@ -19,6 +21,7 @@ from pipeline.reconstruct.column_correction import (
     minima,
     other_shifts,
 )
+from tests.pipeline.small import images, pair, reconstructor
 
 
 def test_the_column_correction_follows_the_search_with_the_margin_where_that_decides() -> None:
@@ -135,3 +138,31 @@ def test_a_wall_far_behind_the_volume_does_not_decide_the_offset(number: int, co
     found = errors_of(random_rig(number), 0)
     assert found.wrong < 0.002
     assert found.covered > covered
+
+
+@pytest.mark.parametrize("start", [0.5, -0.5, 0.25])
+def test_from_a_wrong_offset_with_a_wrong_brightness_the_comparison_returns_to_the_right_one(start: float) -> None:
+    left, right = images(pair("mixed"))
+    made = reconstructor()
+    made.reconstruct(left, right)
+    found, _ = made.state()
+    wrong = np.concatenate([[start, 0.0, 0.0], found[3:]])
+    wrong[3 + BRIGHTNESS] = 0.9
+    made.restore((wrong, True))
+    maps = made.decode(left, right)
+    maps, match = first_pair.compared_with_others(made, left, right, maps)
+    assert np.abs(made.state()[0] - found).max() < 0.01
+    assert made.gain > 10 * CLEAR_GAIN and len(made.other_shifts) == 0
+    again = made.match(*made.decode(left, right))
+    assert np.array_equal(match.valid, again.valid)
+
+
+def test_the_comparison_of_offsets_keeps_the_right_one_and_what_is_known_of_it() -> None:
+    left, right = images(pair("mixed"))
+    made = reconstructor()
+    made.reconstruct(left, right)
+    found, others = made.state(), made.other_shifts
+    maps = made.decode(left, right)
+    first_pair.compared_with_others(made, left, right, maps)
+    np.testing.assert_array_equal(made.state()[0], found[0])
+    np.testing.assert_array_equal(made.other_shifts, others)
