@@ -17,8 +17,8 @@ def measuring_jobs(encoding: str, mode: str | None = None) -> tuple[str, ...]:
 
     # Mosaics share their kernels, and all encodings those behind the decoder.
     kind = ENCODINGS[1] if encoding.startswith("bayer_") else encoding
-    decode, *others = compilation.parts(kind)
-    names = f"{MEASURE}/{kind}/{decode}", *(f"{MEASURE}/{_ALL}/{part}" for part in (*others, "monitor"))
+    decode, *others, short = compilation.parts(kind)
+    names = f"{MEASURE}/{kind}/{decode}", *(f"{MEASURE}/{_ALL}/{part}" for part in (*others, "monitor", short))
     return (*names, f"{MODE}/{kind}/{mode}") if mode in MODES else names
 
 

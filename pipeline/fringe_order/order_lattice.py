@@ -105,12 +105,13 @@ class OrderLattice:
         i, j = rows[nodes // w], columns[nodes % w]
         first, count = np.empty(h * w, np.int32), np.empty(h * w, np.int32)
         single = self._limit_orders(correction, 1)
+        pixels = (i * reference.phase.shape[1] + j).astype(np.int32)
 
         def costs_of(shift: float) -> F32:
             shifted, costs = single.copy(), np.empty((len(nodes), view.labels), np.float32)
             shifted[0] += shift
             order_margins.costs_of_nodes(
-                blocks(len(nodes), TILE), nodes, i * reference.phase.shape[1] + j, self._rays, reference.phase,
+                blocks(len(nodes), TILE), nodes, pixels, self._rays, reference.phase,
                 reference.descriptors, other.descriptors, view.phase_to_column, view.linear, shifted,
                 np.float32(view.extent), view.labels, view.first_axis, np.float32(0.5 / s.cost_sigma**2),
                 np.float32(order_margins.TEXTURE * self._texture_weight), first, count, costs,

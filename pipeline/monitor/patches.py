@@ -65,7 +65,7 @@ def measure_patches(
         if u0 < EDGE or v0 < EDGE or u0 + columns + EDGE > width or v0 + rows + EDGE > height:
             continue
         centre_u, centre_v = u0 + 0.5 * (columns - 1), v0 + 0.5 * (rows - 1)
-        n, px, py, pz, pc = 0, 0.0, 0.0, 0.0, 0.0
+        n, px, py, pz, pc = np.int64(0), 0.0, 0.0, 0.0, 0.0
         for v in range(v0, v0 + rows, step_v):
             for u in range(u0, u0 + columns, step_u):
                 z = float(xyz[v, u, 2])
@@ -83,7 +83,7 @@ def measure_patches(
         shape[k, 12] = n / most
         if n < _LEAST_VALID * most:
             continue
-        if not fit_quadratic(points, n, 0, 1, centre_u, centre_v, half_u, half_v, targets, matrix, q):
+        if not fit_quadratic(points, n, np.int64(0), centre_u, centre_v, half_u, half_v, targets, matrix, q):
             continue
         rough = 0.0
         for i in range(n):
@@ -96,7 +96,9 @@ def measure_patches(
             continue
         if not (0.5 * half_u < half_right_u < 2.0 * half_u and 0.7 * half_v < half_right_v < 1.4 * half_v):
             continue
-        if not fit_quadratic(points, n, 3, 4, right_u, right_v, half_right_u, half_right_v, single, matrix, q_right):
+        if not fit_quadratic(
+            points, n, np.int64(3), right_u, right_v, half_right_u, half_right_v, single, matrix, q_right
+        ):
             continue
         left_r, top_r = int(np.ceil(right_u - half_right_u)), int(np.ceil(right_v - half_right_v))
         columns_r, rows_r = int(2 * half_right_u), int(2 * half_right_v)

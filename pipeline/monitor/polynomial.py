@@ -40,14 +40,14 @@ def solved(matrix: Any, right: Any, n: int, columns: int) -> bool:
 
 
 @allocating_linked
-def fit_quadratic(points: Any, n: int, u: int, v: int, centre_u: float, centre_v: float, half_u: float,
-                   half_v: float, targets: Any, matrix: Any, right: Any) -> bool:  # fmt: skip
-    """Least squares of some columns of ``points`` on 1, x, y, x x, x y, y y of columns u and v; into ``right``."""
+def fit_quadratic(points: Any, n: int, u: int, centre_u: float, centre_v: float, half_u: float, half_v: float,
+                  targets: Any, matrix: Any, right: Any) -> bool:  # fmt: skip
+    """Least squares of some columns of ``points`` on 1, x, y, x x, x y, y y of columns u and u + 1; into ``right``."""
     matrix[:QUADRATIC, :QUADRATIC] = 0.0
     right[:QUADRATIC, : targets.shape[0]] = 0.0
     b = np.empty(QUADRATIC)
     for k in range(n):
-        x, y = (points[k, u] - centre_u) / half_u, (points[k, v] - centre_v) / half_v
+        x, y = (points[k, u] - centre_u) / half_u, (points[k, u + 1] - centre_v) / half_v
         b[0], b[1], b[2], b[3], b[4], b[5] = 1.0, x, y, x * x, x * y, y * y
         for i in range(QUADRATIC):
             for j in range(i + 1):

@@ -21,9 +21,10 @@ from pipeline.filter.texture_agreement import Scale
 from pipeline.fringe_order.left_right_check import cross_check
 from pipeline.fringe_order.margins.order_margins import Continued, Limits
 from pipeline.fringe_order.order_propagation import propagate
-from pipeline.match.match_result import Points
+from pipeline.match.match_result import MatchResult, Points
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct.cloud_filters import cloud_filters
+from pipeline.reconstruct.orders_to_cloud import CertainPoints
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
@@ -70,6 +71,7 @@ def parts(encoding: str) -> dict[str, Callable[[], None]]:
         "uniqueness": warm_up_conflicts,
         "filter": _filter,
         "check and propagation": _check,
+        "output": _output,
         "normals": _normals,
     }
 
@@ -83,6 +85,7 @@ def _decode(encoding: str) -> None:
     deep = (3,) if encoding == "rgb8" else ()
     image = np.random.default_rng(0).integers(40, 200, (HEIGHT, WIDTH, *deep), np.uint8)
     decoder = small_reconstructor(encoding).decoders[0]
+    decoder.correct(np.full(6, 1e-3))  # of the first pair, where that has a periodic error
     decoder.decode(image, decoder.cast(image))
     decoder.color(image)
 
@@ -135,6 +138,15 @@ def _filter() -> None:
     made, phases = small_reconstructor("rgb8"), _phase_map()
     order = np.zeros((HEIGHT, WIDTH), np.int16)
     for stride in (1, 2):
-        made.stage(stride).cloud(phases, phases, order, made.correction, Stopwatch(None))
+        made.stage(stride).certain(phases, phases, order, made.correction, Stopwatch(None))
     blank = np.zeros((HEIGHT, WIDTH), np.uint8)
     DividedSurfaces(blank.shape).find(blank, blank, blank, 1)  # of rigs whose fringes repeat, which this one's do not
+
+
+def _output() -> None:
+    made, phases, points = small_reconstructor("rgb8"), _phase_map(), Points.empty((HEIGHT, WIDTH))
+    for stride in (1, 2):
+        part, shape = phases.subsampled(stride) if stride > 1 else phases, (HEIGHT // stride, WIDTH // stride)
+        match, order, valid = MatchResult.empty(shape), np.zeros(shape, np.int16), np.zeros(shape, np.uint8)
+        match.valid[:] = 0
+        made.stage(stride).finish(phases, phases, CertainPoints(part, order, match, points, valid), Stopwatch(None))

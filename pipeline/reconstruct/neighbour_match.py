@@ -111,7 +111,7 @@ def _match_gathered(pixels: Any, left: Any, right: Any, model: Any, scales: Any,
     match_tile(arrays, n, model, right.phasor, right.variance)
     store_phases(t, n, tile.phases[0], tile.phases[1], tile.phases[2])
     store_places(t, n, tile.places[0], tile.places[1], tile.places[2], tile.places[3])
-    store_points(t, n, tile.variance, 0, 1, tile.xyz, tile.sigma, tile.valid)
+    store_points(t, n, tile.variance, np.int64(0), np.int64(1), tile.xyz, tile.sigma, tile.valid)
     right_values_of_row(
         tile.valid[:n], tile.places[0], tile.places[1], right.mean, right.amplitude, model.width, tile.place,
         tile.values, tile.right,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,16 @@ _SEARCHED = np.float32(-_TOLERANCE), np.float32(1 + _TOLERANCE)
 RejectByOrders = Callable[
     [NDArray[np.int16], int, NDArray[np.uint16], NDArray[np.int32], Continued, NDArray[np.uint8]], float
 ]
+
+
+class CertainPoints(NamedTuple):
+    """Points of the pixels of one resolution: phases, orders, match, points, and 1 where they are certain, else 0."""
+
+    part: PhaseMap
+    order: Any
+    match: MatchResult
+    points: Points
+    valid: NDArray[np.uint8]
 
 
 class CloudStage:
@@ -140,6 +150,16 @@ class CloudStage:
             confirm: may reject points before the point filter; then no other orders are tried.
             reject_ambiguous: as of the point filter, with fringe orders and stride before; None: no such test.
         """
+        certain = self.certain(
+            left, right, order, correction, watch, confirm=confirm, reject_ambiguous=reject_ambiguous
+        )  # fmt: skip
+        return self.finish(left, right, certain, watch)
+
+    def certain(
+        self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64], watch: Stopwatch, *,
+        confirm: Callable[[MatchResult], None] | None = None, reject_ambiguous: RejectByOrders | None = None,
+    ) -> CertainPoints:  # fmt: skip
+        """Points, and which of them are certain; arguments as of :meth:`cloud`. Valid until the next call."""
         part, part_order = left, order
         if self._stride > 1:
             part = left.subsampled(self._stride)
@@ -159,6 +179,11 @@ class CloudStage:
         by_orders = None if reject_ambiguous is None else partial(reject_ambiguous, part_order, self._stride)
         valid = self._gates.certain(match, points, part, self._agreement, scale, by_orders)
         watch.lap("gates")
+        return CertainPoints(part, part_order, match, points, valid)
+
+    def finish(self, left: PhaseMap, right: PhaseMap, certain: CertainPoints, watch: Stopwatch) -> Cloud:
+        """The cloud of certain points inside the volume with their standard deviations; ``left``: all its pixels."""
+        part, part_order, match, points, valid = certain
         shares = shares_of(
             match, part.variance, points.depth_mm(self._stride), self._depths, slopes=self._slopes,
             mosaic=self._mosaic, saturated=left.saturated, corrected=self.corrected_scatter,

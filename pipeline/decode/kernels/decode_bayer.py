@@ -150,7 +150,7 @@ def decode_bayer(
     _design_rows(mosaic, rows, design)
     gains[:] = np.float32(1.0)
     blocks = (width + BLOCK - 1) // BLOCK
-    flags, runs, n_runs = np.zeros(BLOCK * blocks + 16, np.uint8), np.zeros((blocks, 2), np.int32), 0
+    flags, runs, n_runs = np.zeros(BLOCK * blocks + 16, np.uint8), np.zeros((blocks, 2), np.int32), np.int64(0)
     level = abs(nominal[3]) > abs(nominal[1])
     start = shared_row(max(low - REACH, 0))
     middle_row, entered = start - 1, start - over

@@ -146,7 +146,7 @@ def decode_rgb(
     tile, columns = np.zeros(SATURATED_SLOTS * TILE, np.float32), np.empty(width + 1, np.int32)
     gains[:] = np.float32(1.0)
     blocks = (width + BLOCK - 1) // BLOCK
-    flags, runs, n_runs = np.zeros(BLOCK * blocks + 16, np.uint8), np.zeros((blocks, 2), np.int32), 0
+    flags, runs, n_runs = np.zeros(BLOCK * blocks + 16, np.uint8), np.zeros((blocks, 2), np.int32), np.int64(0)
     start = shared_row(max(low - reach, 0))
     middle_row, entered = start - 1, start - over
     for y in range(max(low - reach, 0), high + reach):

@@ -58,6 +58,7 @@ def claims(
     t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
     first, count = np.empty(w, np.int32), np.empty(w, np.int32)
     nodes, pixels = np.empty(w, np.int32), np.empty(w, np.int32)
+    only = np.int64(0)  # a constant would be a type of its own, and the costs compiled once more
     for a in range(block * ROWS, min((block + 1) * ROWS, order.shape[0])):
         row_rays = rays[a].reshape(-1)
         n = 0
@@ -72,7 +73,9 @@ def claims(
             load_nodes(t, k, part, pixels[o : o + m], m, row_rays, flat_phase, flat_descriptors, first, count, labels)
             for j in range(m):
                 t[PHI + j] = flat_phase[pixels[o + j]] + _TURN * np.float32(order[a, part[j]])
-            candidate_costs(t, k, 0, columns, linear, correction, extent, flat_other, width, height, axis, inv, texture)
+            candidate_costs(
+                t, k, only, columns, linear, correction, extent, flat_other, width, height, axis, inv, texture
+            )
             for j in range(m):
                 row = k[CELL + j] // np.int32(width)
                 column = k[CELL + j] - row * np.int32(width)
