@@ -31,6 +31,7 @@ from pipeline.filter.surfaces.unconfirmed_surfaces import reject_open, reject_un
 from pipeline.filter.surfaces.unexplained_regions import UnexplainedRegions
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
 from pipeline.fringe_order.margins.order_margins import MOST_REJECTED, Continued
+from pipeline.fringe_order.margins.sampled_groups import Ambiguous
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, MatchResult, Points
 
@@ -41,6 +42,9 @@ the median of the image it is at least, since the means of a projector with an i
 """
 _SMALLER_PARTS = 4
 """How many times smaller than the smallest surface a part of one is whose orders are judged."""
+LEAST_AMBIGUOUS = 0.5
+"""Pixels in ambiguous cells of surfaces that stay, in units of the smallest large surface, from which large parts of
+surfaces are judged: with fewer none of them is ambiguous by half."""
 _DISTINCT_TURNS = 0.2
 """Turns of the projector's phase that a wrong order leaves, from which it is taken to show everywhere."""
 LARGE_SHARE = 0.01
@@ -55,9 +59,9 @@ MISFIT_OF = np.rint(np.array(EDGE_MISFIT_RAD) * MISFIT_STEPS).astype(np.uint8)
 _LOSS = LOSS.astype(np.float32)
 
 
-RejectAmbiguous = Callable[[NDArray[np.uint16], NDArray[np.int32], Continued, NDArray[np.uint8]], float]
+RejectAmbiguous = Callable[[NDArray[np.uint16], NDArray[np.int32], Continued, NDArray[np.uint8]], Ambiguous]
 """Rejects surfaces whose fringe orders do not win clearly: of label (H, W), sizes (n,) and continued orders (n,), in
-``valid`` (H, W); returns their share of the surfaces. See :mod:`pipeline.fringe_order.margins.order_margins`."""
+``valid`` (H, W). See :mod:`pipeline.fringe_order.margins.order_margins`."""
 
 
 class Gates:
@@ -145,7 +149,9 @@ class Gates:
             if self._phase_weight < DISTINCT:
                 self._reject_ambiguous_parts(match, left, reject_ambiguous)
             continued = continued_orders(match, left, label, surfaces, self._large, match.valid)
-            reject_ambiguous(label, surfaces.sizes, continued, valid)
+            found = reject_ambiguous(label, surfaces.sizes, continued, valid)
+            if self._phase_weight >= DISTINCT and found.kept * surfaces.sizes.sum() > LEAST_AMBIGUOUS * self._large:
+                self._reject_ambiguous_walls(left, reject_ambiguous)
         continued = continued_orders(match, left, label, surfaces, self._large, valid)
         self._regions.reject_remains(
             left.valid, valid, label, surfaces, figures, continued, scale.matched_loss, self._large
@@ -167,9 +173,16 @@ class Gates:
         parts, valid = self._divided, self._valid
         parts.find(valid, left.mean, self._link, max(self._smallest // _SMALLER_PARTS, 1))
         continued = continued_orders(match, left, parts.label, parts.surfaces, self._large, match.valid)
-        if reject_ambiguous(parts.label, parts.surfaces.sizes, continued, valid) > MOST_REJECTED:
+        if reject_ambiguous(parts.label, parts.surfaces.sizes, continued, valid).rejected > MOST_REJECTED:
             continued = continued_orders(match, left, parts.label, parts.surfaces, self._large, valid)
             reject_open(continued, parts.surfaces, self._large, valid)
+
+    def _reject_ambiguous_walls(self, left: PhaseMap, reject_ambiguous: RejectAmbiguous) -> None:
+        """Judge the orders of large parts of surfaces between edges of the brightness, as those of surfaces."""
+        parts = self._divided
+        parts.find(self._valid, left.mean, self._link, self._large)
+        sizes = parts.surfaces.sizes
+        reject_ambiguous(parts.label, sizes, Continued.none(len(sizes)), self._valid)
 
     def _test_components(self, match: MatchResult, agreement: Agreement, mean: Any, scale: Scale) -> Figures:
         return component_test(

@@ -9,7 +9,7 @@ from pipeline.decode.decoder import PhaseMap
 from pipeline.fringe_order import semi_global_aggregation, strip_search
 from pipeline.fringe_order.coarse_to_fine import interpolate_orders
 from pipeline.fringe_order.margins.order_margins import Continued, Limits
-from pipeline.fringe_order.margins.sampled_groups import CELL, Groups
+from pipeline.fringe_order.margins.sampled_groups import CELL, Ambiguous, Groups
 from pipeline.fringe_order.order_lattice import OrderLattice
 from pipeline.geometry.view_tables import View
 
@@ -86,25 +86,22 @@ class OrderSearch:
         self, reference: PhaseMap, other: PhaseMap, correction: F64, limits: Limits,
         order: NDArray[np.int16], stride: int, label: NDArray[np.uint16], sizes: NDArray[np.int32],
         continued: Continued, valid: NDArray[np.uint8],
-    ) -> float:  # fmt: skip
+    ) -> Ambiguous:  # fmt: skip
         """Reject surfaces, large ones in cells, whose orders do not win clearly, see :mod:`.margins.order_margins`.
 
         Args:
             order, label: (H / stride, W / stride) order, and one more than the surface, of every n-th pixel.
             sizes: pixels of each surface; continued: of the surfaces.
             valid: (H / stride, W / stride), changed.
-
-        Returns:
-            Share of the surfaces' pixels that are rejected because their orders do not win clearly.
         """
         if limits.margin <= 0:
-            return 0.0
+            return Ambiguous(0.0, 0.0)
         groups = Groups(label, sizes, CELL // stride)
         margins = self._fine.margins(reference, other, correction, limits, order, stride, groups, continued)
-        share = groups.reject(margins < limits.margin, limits.ambiguous_share, valid)
+        found = groups.reject(margins < limits.margin, limits.ambiguous_share, valid)
         # The second call has no rows where nothing is to be rejected.
-        groups.reject_each(np.isfinite(margins) & (share > limits.most_rejected), valid)
-        return share
+        groups.reject_each(np.isfinite(margins) & (found.rejected > limits.most_rejected), valid)
+        return found
 
     def reject_contradicted(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, order: NDArray[np.int16]

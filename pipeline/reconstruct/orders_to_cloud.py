@@ -23,6 +23,7 @@ from pipeline.filter.sigma_terms import ROWS as SIGMA_ROWS
 from pipeline.filter.sigma_terms import shares_of, widen_sigma
 from pipeline.filter.texture_agreement import Agreement, Scale, compare, scale_and_inside, scales_of
 from pipeline.fringe_order.margins.order_margins import Continued
+from pipeline.fringe_order.margins.sampled_groups import Ambiguous
 from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import MatchResult, Points
 from pipeline.match.subpixel_match import ROWS, refine
@@ -36,7 +37,7 @@ from pipeline.rig.volume import Volume
 _TOLERANCE = 0.02
 _SEARCHED = np.float32(-_TOLERANCE), np.float32(1 + _TOLERANCE)
 RejectByOrders = Callable[
-    [NDArray[np.int16], int, NDArray[np.uint16], NDArray[np.int32], Continued, NDArray[np.uint8]], float
+    [NDArray[np.int16], int, NDArray[np.uint16], NDArray[np.int32], Continued, NDArray[np.uint8]], Ambiguous
 ]
 
 

@@ -5,7 +5,7 @@ Large surfaces are tested in cells, because a false surface that crosses a true 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,13 @@ SAMPLES = 32
 CELL = 64
 """Width and height of the cells in which large surfaces are tested, pixels of the left image."""
 _GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
+
+
+class Ambiguous(NamedTuple):
+    """Shares of the pixels of all surfaces: rejected ones, and those in ambiguous cells of large surfaces that stay."""
+
+    rejected: float
+    kept: float
 
 
 class Groups:
@@ -54,24 +61,24 @@ class Groups:
         n = _choose(group, SAMPLES, self._pixels, np.empty(len(self), np.int32), nodes)
         return nodes[:n], group[nodes[:n]]
 
-    def reject(self, ambiguous: NDArray[np.bool_], most: float, valid: NDArray[np.uint8]) -> float:
+    def reject(self, ambiguous: NDArray[np.bool_], most: float, valid: NDArray[np.uint8]) -> Ambiguous:
         """Reject the surfaces that are ambiguous (n,), after :meth:`sampled`; ``valid`` (H, W) is changed.
 
         Args:
             most: as :attr:`.order_margins.Limits.ambiguous_share`.
-
-        Returns:
-            Share of the pixels of all surfaces that are rejected.
         """
         cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (ambiguous, self._pixels))
         of_large = pixels.sum(axis=1)
         rejected = ambiguous.copy()
         rejected[self._surfaces :] = False
-        rejected[: self._surfaces][self._row >= 0] = (cells * pixels).sum(axis=1) / np.maximum(of_large, 1) >= most
+        in_cells = (cells * pixels).sum(axis=1)
+        rejected[: self._surfaces][self._row >= 0] = in_cells / np.maximum(of_large, 1) >= most
         self._reject(rejected, valid)
         of_surfaces = self._pixels[: self._surfaces].copy()
         of_surfaces[self._row >= 0] = of_large
-        return float(of_surfaces[rejected[: self._surfaces]].sum() / max(of_surfaces.sum(), 1))
+        kept = in_cells[~rejected[: self._surfaces][self._row >= 0]].sum()
+        every = max(of_surfaces.sum(), 1)
+        return Ambiguous(float(of_surfaces[rejected[: self._surfaces]].sum() / every), float(kept / every))
 
     def reject_each(self, rejected: NDArray[np.bool_], valid: NDArray[np.uint8]) -> None:
         """Reject groups (n,), cells of large surfaces alone; ``valid`` (H, W) is changed."""

@@ -18,6 +18,7 @@ from pipeline.filter.occlusion.uniqueness import Uniqueness
 from pipeline.filter.point_filter import Gates
 from pipeline.filter.surfaces import surface_links
 from pipeline.filter.texture_agreement import Agreement, Scale
+from pipeline.fringe_order.margins.sampled_groups import Ambiguous
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, TURN_STEPS, MatchResult, Points
 
@@ -238,3 +239,44 @@ def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unk
         numba.set_num_threads(most)
     assert all((r == results[0]).all() for r in results)
     assert 0.2 < results[0].mean() < valid.mean() and not results[0][valid == 0].any()
+
+
+@pytest.mark.parametrize(("kept", "walls"), [(0.9, True), (0.005, False)])
+def test_large_parts_between_edges_are_judged_alone_where_much_of_a_surface_is_ambiguous(
+    kept: float, walls: bool
+) -> None:
+    """A bright object beside a dark wall, both of one surface, whose orders may be those of the object."""
+    shape, right, projector = (150, 200), (210, 150), (160, 120)
+    i, j = np.indices(shape)
+    steps = [(PIXEL_STEPS * x).clip(0, OUTSIDE).astype(np.uint16) for x in (j + 5.0, i + 0.5, 0.7 * j, 0.7 * i)]
+    zeros = np.zeros(shape, np.int16)
+    match = MatchResult(np.ones(shape, np.uint8), *steps, (24 * j).astype(np.int16), zeros, zeros.copy())
+    points = Points.empty(shape)
+    points.depth_mm(1)[:], points.sigma_mm[:] = 800 + 0.1 * j, 0.02
+    mean = np.where(j < 120, 150, 40).astype(np.uint8)
+    blank, phase = np.zeros(shape, np.int32), (24 * j * 2 * np.pi / TURN_STEPS).astype(np.float32)
+    left = PhaseMap(
+        blank, blank, mean, np.ones(shape, np.float32), 0.0, phase, mean, np.ones(shape, bool), mean
+    )  # fmt: skip
+    gates = Gates(
+        shape, right, projector, (24 * 2 * np.pi / TURN_STEPS, 0.0), DepthScale(1 / 900, 1 / 700 - 1 / 900), 0.1,
+        Settings(), smallest=20,
+    )  # fmt: skip
+    judged = []
+
+    def reject_ambiguous(label: Any, sizes: Any, continued: Any, valid: Any) -> Ambiguous:
+        assert len(continued.change) == len(sizes)
+        judged.append([np.flatnonzero((label == k + 1).any(axis=0)) for k in range(len(sizes))])
+        if len(judged) > 1:
+            valid[(label > 0) & (label == label[75, 195])] = 0
+        return Ambiguous(0.0, kept)
+
+    agreement = Agreement(np.zeros(shape, np.uint8), np.zeros(shape, np.uint8))
+    certain = gates.certain(match, points, left, agreement, Scale(0.0, 0.01, 0.0, 0.02, 0.3, 2.4), reject_ambiguous)
+    assert len(judged[0]) == 1
+    assert len(judged) == (2 if walls else 1)
+    if walls:
+        sides = [part for part in judged[1] if part.max() < 120 or part.min() > 120]
+        assert [(part.min() < 60, part.max() > 180) for part in sides] == [(True, False), (False, True)]
+    assert certain[:, 5:100].all()
+    assert certain[:, 130:195].all() != walls and certain[:, 130:195].any() != walls

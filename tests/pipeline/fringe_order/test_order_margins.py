@@ -117,13 +117,17 @@ def test_large_surfaces_are_sampled_and_rejected_in_cells() -> None:
             ambiguous = np.zeros(len(groups), bool)
             ambiguous[sorted(set(group[label[i, j] == 1]))[:few]] = True
             valid = (label > 0).astype(np.uint8)
-            groups.reject(ambiguous, most, valid)
+            found = groups.reject(ambiguous, most, valid)
             assert ((valid == 0) & (label == 1)).sum() == expected
+            # Of the two surfaces' pixels the ambiguous ones of the large one, unless that is rejected.
+            stays = 0 if expected else few * CELL * CELL
+            assert found.kept == pytest.approx(stays / (label > 0).sum(), rel=0.1)
     ambiguous[:] = False
     ambiguous[1] = True
     valid = (label > 0).astype(np.uint8)
-    share = groups.reject(ambiguous, alone, valid)
+    share, kept = groups.reject(ambiguous, alone, valid)
     assert ((valid == 0) == (label != 1)).all()
+    assert kept == 0
     assert share == pytest.approx((label == 2).sum() / (label > 0).sum(), rel=0.2)
 
 
@@ -152,7 +156,9 @@ def test_where_much_is_rejected_and_fringes_repeat_orders_with_competitors_give_
     valid = (label > 0).astype(np.uint8)
     limits, order = Limits(0.05, np.empty(0), even=even), label.astype(np.int16)
     none = Continued.none(len(sizes))
-    share = made.searches[0].reject_ambiguous(left, right, made.correction, limits, order, 1, label, sizes, none, valid)
+    share, _ = made.searches[0].reject_ambiguous(
+        left, right, made.correction, limits, order, 1, label, sizes, none, valid
+    )
     assert share == pytest.approx(3600 * ambiguous / (label > 0).sum(), rel=0.05)
     assert set(label[valid > 0]) == ({1} if strict else {1, ambiguous + 2})
     assert (valid[:CELL, CELL : 2 * CELL] == (0 if strict else 1)).all()
