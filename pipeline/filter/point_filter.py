@@ -30,7 +30,7 @@ from pipeline.filter.surfaces.surface_evidence import DISTINCT, Figures
 from pipeline.filter.surfaces.unconfirmed_surfaces import reject_open, reject_unconfirmed
 from pipeline.filter.surfaces.unexplained_regions import UnexplainedRegions
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
-from pipeline.fringe_order.margins.order_margins import MOST_REJECTED, Continued
+from pipeline.fringe_order.margins.order_margins import MOST_REJECTED, VAGUE_SHARE, Continued
 from pipeline.fringe_order.margins.sampled_groups import Ambiguous
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, MatchResult, Points
@@ -42,9 +42,6 @@ the median of the image it is at least, since the means of a projector with an i
 """
 _SMALLER_PARTS = 4
 """How many times smaller than the smallest surface a part of one is whose orders are judged."""
-LEAST_AMBIGUOUS = 0.5
-"""Pixels in ambiguous cells of surfaces that stay, in units of the smallest large surface, from which large parts of
-surfaces are judged: with fewer none of them is ambiguous by half."""
 _DISTINCT_TURNS = 0.2
 """Turns of the projector's phase that a wrong order leaves, from which it is taken to show everywhere."""
 LARGE_SHARE = 0.01
@@ -150,7 +147,7 @@ class Gates:
                 self._reject_ambiguous_parts(match, left, reject_ambiguous)
             continued = continued_orders(match, left, label, surfaces, self._large, match.valid)
             found = reject_ambiguous(label, surfaces.sizes, continued, valid)
-            if self._phase_weight >= DISTINCT and found.kept * surfaces.sizes.sum() > LEAST_AMBIGUOUS * self._large:
+            if self._phase_weight >= DISTINCT and found.kept * surfaces.sizes.sum() > VAGUE_SHARE * self._large:
                 self._reject_ambiguous_walls(left, reject_ambiguous)
         continued = continued_orders(match, left, label, surfaces, self._large, valid)
         self._regions.reject_remains(
@@ -178,7 +175,10 @@ class Gates:
             reject_open(continued, parts.surfaces, self._large, valid)
 
     def _reject_ambiguous_walls(self, left: PhaseMap, reject_ambiguous: RejectAmbiguous) -> None:
-        """Judge the orders of large parts of surfaces between edges of the brightness, as those of surfaces."""
+        """Judge the orders of large parts of surfaces between edges of the brightness, as those of surfaces.
+
+        Where fewer pixels of surfaces are ambiguous than make the smallest large part so, none can be rejected.
+        """
         parts = self._divided
         parts.find(self._valid, left.mean, self._link, self._large)
         sizes = parts.surfaces.sizes

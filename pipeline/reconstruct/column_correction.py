@@ -9,6 +9,7 @@ columns on accepted points.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -47,7 +48,7 @@ _REFINED = 6
 """Minima of the mean cost about which finer offsets are tried."""
 CLEAR_RATIO, _NEAR = 1.5, 0.3
 """How many times the gain near the chosen offset that of one which replaces it must be, and what is near, columns."""
-_SAME, FARTHER, _MINIMUM_FARTHER, _VAGUE_FARTHER, _MOST_OTHERS = 0.1, 0.2, 0.3, 0.5, 2
+_SAME, _FARTHER, _MINIMUM_FARTHER, _VAGUE_FARTHER, _MOST_OTHERS = 0.1, 0.2, 0.3, 0.5, 2
 """Distance up to which offsets are alike, columns; how much farther from 0 another one may be, as projectors drift
 little, the second one where it is a minimum of its own and pixels agree up to noise, the third one where hardly any
 pixels do; how many others are compared."""
@@ -168,18 +169,24 @@ def other_shifts(offsets: F64, with_margin: F64, likelihood: OffsetLikelihood, h
     probable = with_margin + PER_COLUMN * np.abs(offsets)
     limit = min(float(probable.min()), cost + PER_COLUMN * abs(here)) + CLEARLY_MORE
     gain = likelihood.near(here)
-    farther = np.full(len(offsets), FARTHER if gain >= CLEAR_GAIN else _VAGUE_FARTHER)
+    farther = np.full(len(offsets), _FARTHER if gain >= CLEAR_GAIN else _VAGUE_FARTHER)
     if gain >= CLEAR_GAIN:
         farther[minima(offsets, with_margin)] = _MINIMUM_FARTHER
     small = np.abs(offsets) <= abs(here) + farther
-    least = np.where((gain >= CLEAR_GAIN) | (np.abs(offsets) > abs(here) + FARTHER), gain / CLEAR_RATIO, 0.0)
+    least = np.where((gain >= CLEAR_GAIN) | (np.abs(offsets) > abs(here) + _FARTHER), gain / CLEAR_RATIO, 0.0)
     agreeing = np.array([likelihood.near(offset) for offset in offsets]) >= least
     others = np.flatnonzero((probable <= limit) & small & agreeing & (np.abs(offsets - here) >= _SAME))
-    return with_halves(offsets[others[np.argsort(probable[others], kind="stable")][:_MOST_OTHERS]] - here)
+    return _with_halves(offsets[others[np.argsort(probable[others], kind="stable")][:_MOST_OTHERS]] - here)
 
 
-def with_halves(shifts: F64) -> F64:
-    """Changes (n,) of the offset as :func:`other_shifts` returns them, (2 n,)."""
+def with_others(shifts: F64, further: Sequence[float]) -> F64:
+    """Changes of :func:`other_shifts`, and the first further one that is like none of them; halves as there."""
+    known = list(shifts[: len(shifts) // 2])
+    unlike = (each for each in further if abs(each) >= _FARTHER and all(abs(each - one) >= _SAME for one in known))
+    return _with_halves(np.array([*known, *islice(unlike, 1)]))
+
+
+def _with_halves(shifts: F64) -> F64:
     return np.asarray(np.concatenate([shifts, shifts / 2]), dtype=np.float64)
 
 

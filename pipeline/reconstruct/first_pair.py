@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.common.settings import Settings
 from pipeline.decode.decoder import Decoder, PhaseMap
 from pipeline.filter.texture_agreement import scale_of
-from pipeline.fringe_order.margins.order_margins import VAGUE_GAIN
+from pipeline.fringe_order.margins.order_margins import CLEAR_GAIN
 from pipeline.fringe_order.order_search import UNCALIBRATED, OrderSearch
 from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import MatchResult
@@ -35,7 +35,9 @@ _LOW_GAIN, _LITTLE_TEXTURE = 0.3, 0.1
 """Gain in log likelihood below which costs with so small a share of the texture's weight are tried as well: unequal
 brightness hides that right orders agree."""
 _NO_GAIN, _COMPARED = 0.005, 0.75
-"""Gain that is no evidence; columns from 0 within which other offsets are compared where hardly any pixels agree."""
+"""Gain that is no evidence; columns from 0 within which other offsets are compared where few pixels agree."""
+_FEW_AGREE, _AS_PROBABLE = 0.6, 0.5
+"""Gain from which the offset is certain; share of its probability from which another one explains the pair as well."""
 _DISPLACEMENTS_PX = (1, 2, 3, 5, 7, 10, 14, 20)
 
 
@@ -119,7 +121,7 @@ def calibrate(
             break
         maps = _with_response(made, camera_response.VIGNETTING, factor, left, right)
         match = calibrate_columns(made, *maps)
-    if made.gain < VAGUE_GAIN:
+    if made.gain < _FEW_AGREE:
         maps, match = compared_with_others(made, left, right, maps)
     contrast = camera_response.contrast_of_points(*maps, match, made.left.first_axis)
     share = camera_response.texture_share(maps[0], maps[1].with_corrected_mean(), match)
@@ -164,14 +166,15 @@ def compared_with_others(
     probable = (gains / (1 + np.abs(likelihood.offsets)))[len(offsets) :]
     best = int(np.argmax(probable))
     clearly = probable[best] > column_correction.CLEAR_RATIO * probable[0]
-    made.restore(states[best if clearly else 0])
+    chosen = best if clearly else 0
+    made.restore(states[chosen])
     maps = made.decode(left, right)
-    if clearly:
-        return maps, calibrate_columns(made, *maps, chosen=places[best])
-    shift = places[best] - places[0]
-    others = [*shifts[: len(shifts) // 2], *([shift] if abs(shift) >= column_correction.FARTHER else [])]
-    made.other_shifts = column_correction.with_halves(np.array(others))
-    return maps, made.match(*maps)
+    match = calibrate_columns(made, *maps, chosen=places[chosen]) if clearly else made.match(*maps)
+    known = made.other_shifts if clearly else shifts
+    as_probable = (gains[len(offsets) :] > CLEAR_GAIN) & (probable > _AS_PROBABLE * probable[chosen])
+    others = [n for n in np.argsort(-probable, kind="stable") if as_probable[n]]
+    made.other_shifts = column_correction.with_others(known, [places[n] - places[chosen] for n in others])
+    return maps, match
 
 
 def _in_the_middle(made: Calibrating) -> float:

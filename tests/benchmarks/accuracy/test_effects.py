@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.effects import COUNTS, IMAGES, INTERPOLATED, LIGHT, displaced, with_effect
+from benchmarks.accuracy.effects import COUNTS, IMAGES, INTERPOLATED, LIGHT, TOGETHER, displaced, errors_of, with_effect
 from benchmarks.reconstruction.cases import HARD
 
 CASE = HARD[0]
@@ -46,3 +46,16 @@ def test_white_balance_multiplies_the_right_cameras_channels() -> None:
     before, after = with_effect("none", LIGHTS, case)[1], with_effect(name, LIGHTS, case)[1]
     ratio = after.reshape(-1, 3).mean(axis=0) / before.reshape(-1, 3).mean(axis=0)
     np.testing.assert_allclose(ratio, [1.25, 1.0, 0.8], rtol=0.02)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    ("case", "wrong", "false_points"),
+    [("plaster cast, realistic Bayer", 0.003, 0), ("wall that one camera sees, far", 0.02, 1000)],
+)
+def test_ordinary_faults_together_leave_few_wrong_points(case: str, wrong: float, false_points: int) -> None:
+    """Without decisions 64 and 65 no point of the cast is right, and 30 % of the wall's points are wrong."""
+    ((_, found, verdict),) = errors_of(next(each for each in HARD if each.name == case), [TOGETHER])
+    assert verdict != "inconsistent"
+    assert found.covered > 0.9 and found.wrong < wrong and found.false_points <= false_points

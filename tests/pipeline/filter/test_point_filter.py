@@ -241,7 +241,7 @@ def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unk
     assert 0.2 < results[0].mean() < valid.mean() and not results[0][valid == 0].any()
 
 
-@pytest.mark.parametrize(("kept", "walls"), [(0.9, True), (0.005, False)])
+@pytest.mark.parametrize(("kept", "walls"), [(0.9, True), (0.003, False)])
 def test_large_parts_between_edges_are_judged_alone_where_much_of_a_surface_is_ambiguous(
     kept: float, walls: bool
 ) -> None:

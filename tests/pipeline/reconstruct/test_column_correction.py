@@ -20,6 +20,7 @@ from pipeline.reconstruct.column_correction import (
     improbability,
     minima,
     other_shifts,
+    with_others,
 )
 from tests.pipeline.small import images, pair, reconstructor
 
@@ -72,6 +73,13 @@ def test_offsets_that_explain_a_pair_as_well_are_compared() -> None:
     assert other_shifts(offsets, alike, fewer, 0.6, 0.1) == pytest.approx([-0.35, -0.175])
     as_many = OffsetLikelihood(offsets, np.array([0.25, 0.1, 0.1, 0.1, 0.3]))
     assert other_shifts(offsets, alike, as_many, 0.6, 0.1) == pytest.approx([-0.6, -0.85, -0.3, -0.425])
+
+
+def test_of_further_offsets_that_explain_a_pair_the_first_unlike_one_is_compared() -> None:
+    assert with_others(np.empty(0), []).shape == (0,)
+    assert with_others(np.empty(0), [0.1, -0.4, 0.5]) == pytest.approx([-0.4, -0.2])  # the first one is the chosen one
+    assert with_others(np.array([0.2, 0.1]), [0.25, -0.4]) == pytest.approx([0.2, -0.4, 0.1, -0.2])
+    assert with_others(np.array([0.2, 0.1]), [0.25]) == pytest.approx([0.2, 0.1])
 
 
 def _costs(shares: list[float], levels: list[float], pixels: int = 3000) -> list[NDArray[np.float32]]:
