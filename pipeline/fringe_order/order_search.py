@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pipeline.decode.decoder import PhaseMap
 from pipeline.fringe_order import semi_global_aggregation, strip_search
 from pipeline.fringe_order.coarse_to_fine import interpolate_orders
-from pipeline.fringe_order.margins.order_margins import Continued, Limits
+from pipeline.fringe_order.margins.order_margins import CLEAR_GAIN, Continued, Limits
 from pipeline.fringe_order.margins.sampled_groups import CELL, Ambiguous, Groups
 from pipeline.fringe_order.order_lattice import OrderLattice
 from pipeline.geometry.view_tables import View
@@ -101,7 +101,8 @@ class OrderSearch:
         found = groups.reject(margins < limits.margin, limits.ambiguous_share, valid)
         # The second call has no rows where nothing is to be rejected.
         groups.reject_each(np.isfinite(margins) & (found.rejected > limits.most_rejected), valid)
-        return found
+        # Where hardly any pixel agrees with the offset, a device may have moved: what is wrong then shows it.
+        return found if limits.gain >= CLEAR_GAIN else found._replace(kept=0.0)
 
     def reject_contradicted(
         self, reference: PhaseMap, other: PhaseMap, correction: F64, other_view: View, order: NDArray[np.int16]

@@ -165,6 +165,32 @@ def test_where_much_is_rejected_and_fringes_repeat_orders_with_competitors_give_
     assert valid[:CELL, :CELL].all()
 
 
+@pytest.mark.parametrize(("gain", "kept"), [(0.02, 0.0), (0.03, 1 / 3)])
+def test_ambiguous_cells_that_stay_count_where_pixels_agree_with_the_offset(
+    monkeypatch: pytest.MonkeyPatch, gain: float, kept: float
+) -> None:
+    label = np.zeros((2 * CELL, 4 * CELL), np.uint16)
+    label[:CELL, : 3 * CELL] = 1
+    made, sizes = reconstructor(), np.bincount(label.ravel())[1:].astype(np.int32)
+    left, right, _ = made.orders(*images(pair("mixed")), Stopwatch(None))
+
+    def margins(*arguments: object) -> NDArray[np.float32]:
+        groups = arguments[-2]
+        assert isinstance(groups, Groups)
+        groups.sampled(*(np.arange(n, dtype=np.int32) for n in label.shape))
+        found = np.full(len(groups), np.inf, np.float32)
+        found[1] = 0.01
+        return found
+
+    monkeypatch.setattr(made.searches[0]._fine, "margins", margins)
+    valid, limits = (label > 0).astype(np.uint8), Limits(0.05, np.empty(0), gain=gain)
+    found = made.searches[0].reject_ambiguous(
+        left, right, made.correction, limits, label.astype(np.int16), 1, label, sizes, Continued.none(1), valid
+    )
+    assert found == pytest.approx((0.0, kept), abs=0.01)
+    assert (valid == (label > 0)).all()
+
+
 @pytest.mark.parametrize("width", range(2, 40))
 def test_every_column_of_a_surface_is_sampled_as_often(width: int) -> None:
     """Also where its rows have as many pixels as lie between two samples."""
