@@ -126,6 +126,11 @@ class OffsetLikelihood(NamedTuple):
         along = np.argsort(self.offsets)
         return float(np.interp(offset, self.offsets[along], self.gain[along]))
 
+    @property
+    def probable(self) -> F64:
+        """The gain (n,) with what is known before: small offsets are more probable."""
+        return np.asarray(self.gain / (1 + np.abs(self.offsets)), dtype=np.float64)
+
     def near(self, offset: float) -> float:
         """The largest gain near an offset."""
         return float(self.gain[np.abs(self.offsets - offset) <= _NEAR].max(initial=0.0))
@@ -135,7 +140,7 @@ class OffsetLikelihood(NamedTuple):
 
         Of a plane's pixels all may agree at several offsets; small ones are more probable.
         """
-        probable = self.gain / (1 + np.abs(self.offsets))
+        probable = self.probable
         best = int(np.argmax(probable))
         here = float(probable[np.abs(self.offsets - chosen) <= _NEAR].max(initial=0.0))
         clearly = self.gain[best] > CLEAR_GAIN and probable[best] > CLEAR_RATIO * here

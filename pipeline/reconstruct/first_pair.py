@@ -138,7 +138,7 @@ def compared_with_others(
 
     Brightness is measured at matched points. Measured at those of a wrong offset, it makes this one more probable.
     """
-    first, limit = made.searches[0], made.settings.self_calibration_range + 1.0
+    first = made.searches[0]
     offsets = column_correction.offsets_to_try(made.settings.self_calibration_range)
     costs = [first.least_costs(*maps, np.array([each, 0.0, 0.0]), stride=_STRIDE) for each in offsets]
     costs.append(first.least_costs(*maps, made.correction, stride=_STRIDE))
@@ -150,10 +150,8 @@ def compared_with_others(
         made.correction = np.array([offset, 0.0, 0.0])
         made.clear_prior()
         match = made.match(*maps)
-        difference, along, across = column_correction.column_differences(made.left, match, made.correction)
-        if len(difference) < _LEAST_POINTS:
+        if len(_fit_correction(made, match)[0]) < _LEAST_POINTS:
             continue
-        made.correction = column_correction.affine_fit(along, across, difference, limit=limit)
         brightness = camera_response.brightness_of_points(*maps, match)
         factor = camera_response.vignetting_of_points(*maps, match, brightness, repeats=made.repeats)
         bright = _changed(even, camera_response.BRIGHTNESS, brightness)
@@ -162,8 +160,8 @@ def compared_with_others(
         states.append(made.state())
         places.append(_in_the_middle(made))
     likelihood = column_correction.OffsetLikelihood.of(np.concatenate([offsets, places]), costs)
-    gains = np.where(likelihood.gain < _NO_GAIN, 0.0, likelihood.gain)
-    probable = (gains / (1 + np.abs(likelihood.offsets)))[len(offsets) :]
+    gains, probable = (each[len(offsets) :] for each in (likelihood.gain, likelihood.probable))
+    probable = np.where(gains < _NO_GAIN, 0.0, probable)
     best = int(np.argmax(probable))
     clearly = probable[best] > column_correction.CLEAR_RATIO * probable[0]
     chosen = best if clearly else 0
@@ -171,7 +169,7 @@ def compared_with_others(
     maps = made.decode(left, right)
     match = calibrate_columns(made, *maps, chosen=places[chosen]) if clearly else made.match(*maps)
     known = made.other_shifts if clearly else shifts
-    as_probable = (gains[len(offsets) :] > CLEAR_GAIN) & (probable > _AS_PROBABLE * probable[chosen])
+    as_probable = (gains > CLEAR_GAIN) & (probable > _AS_PROBABLE * probable[chosen])
     others = [n for n in np.argsort(-probable, kind="stable") if as_probable[n]]
     made.other_shifts = column_correction.with_others(known, [places[n] - places[chosen] for n in others])
     return maps, match
@@ -256,18 +254,26 @@ def calibrate_columns(
     made.calibrated = True
     made.clear_prior()
     match = made.match(left, right)
-    difference, along, across = column_correction.column_differences(made.left, match, made.correction)
-    if len(difference) >= _LEAST_POINTS:
-        limit = made.settings.self_calibration_range + 1.0
-        made.correction = column_correction.affine_fit(along, across, difference, limit=limit)
+    along, across = _fit_correction(made, match)
     middle = (np.median(along), np.median(across)) if len(along) else (0.0, 0.0)
     here = float(made.correction @ (1.0, *middle))
     corrected = made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE)
-    last = made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE, texture=texture)
+    last = corrected
+    if texture != UNCALIBRATED:
+        last = made.searches[0].least_costs(left, right, made.correction, stride=_STRIDE, texture=texture)
     likelihood = column_correction.OffsetLikelihood.of(np.append(tried, here), [*all_costs, last])
     made.gain = likelihood.at(here)
     made.other_shifts = column_correction.other_shifts(offsets, with_margin, likelihood, here, mean_of(corrected))
     return match
+
+
+def _fit_correction(made: Calibrating, match: MatchResult) -> tuple[F64, F64]:
+    """Fit the correction to the matched points if they are enough; returns their projector coordinates, pixels."""
+    difference, along, across = column_correction.column_differences(made.left, match, made.correction)
+    if len(difference) >= _LEAST_POINTS:
+        limit = made.settings.self_calibration_range + 1.0
+        made.correction = column_correction.affine_fit(along, across, difference, limit=limit)
+    return along, across
 
 
 def mean_of(costs: NDArray[np.float32]) -> float:
