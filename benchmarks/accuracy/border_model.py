@@ -24,7 +24,6 @@ from pipeline.common.settings import Settings
 from pipeline.filter import point_filter
 from pipeline.filter.border.border_figures import border_figures
 from pipeline.filter.border.border_model import FIGURES
-from pipeline.filter.border.border_test import largest_odds
 from pipeline.reconstruct import orders_to_cloud
 from sim.evaluate.point_errors import distance_mm
 from sim.evaluate.score import WRONG_MM
@@ -53,8 +52,10 @@ def samples(case: Case, seed: int) -> tuple[Floats, Floats]:
         nonlocal found
         found = np.empty((*planes.label.shape, FIGURES), np.float32)
         border_figures(bands, planes, losses, stride, per_order, found)
-        found[rest[2] == 0] = np.nan
-        rest[3][np.isfinite(found[..., 0])] = 0
+        _, valid, misfit, _, code, expected = rest
+        found[valid == 0] = np.nan
+        misfit[np.isfinite(found[..., 0])] = 0
+        code[:], expected[:] = 0, 0.0
 
     pair = rendered.stored_pair(case, seed)
     reconstructor = case.reconstructor()
@@ -163,7 +164,8 @@ def main(given: list[str]) -> int:
     weight *= len(weight) / weight.sum()
     mean, scale = x.mean(axis=0), 1 / x.std(axis=0)
     x = (x - mean) * scale
-    good, terms, limit = np.isfinite(ratio), quadratic(x), largest_odds(Settings().edge_probability)
+    most = Settings().edge_probability
+    good, terms, limit = np.isfinite(ratio), quadratic(x), np.log(most / (1 - most))
     wrong = logistic(terms, ~good, weight)
     kept = good & (terms @ wrong <= limit)
     spread = variance(squares(x[kept]), ratio[kept], weight[kept])

@@ -15,7 +15,7 @@ from pipeline.decode.decoder import PhaseMap
 from pipeline.filter.border.border_figures import Planes
 from pipeline.filter.border.border_model import MODEL
 from pipeline.filter.border.border_pixels import ROWS as BORDER_ROWS
-from pipeline.filter.border.border_test import border_test, largest_odds
+from pipeline.filter.border.border_test import CODES, border_test, code_of, largest_code
 from pipeline.filter.border.surface_edges import ROWS as EDGE_ROWS
 from pipeline.filter.border.surface_edges import edge_test
 from pipeline.filter.local_outliers import MOST_MEAN, ROWS, drop_mixed_edges, local_outliers, usual_residuals
@@ -80,7 +80,7 @@ class Gates:
     ) -> None:  # fmt: skip
         self._right, self._projector, self._settings, self._smallest = right, projector, settings, smallest
         self._phase_weight, self._stride = phase_weight, stride
-        self._largest_odds = largest_odds(settings.edge_probability)
+        self._most = code_of(settings.edge_probability)
         #: Change of 1 / z from one fringe order to the next, 1 / mm.
         self.per_order = np.float32(abs(depth.span * order_step))
         self._slopes = round(slopes[0] / (2 * np.pi) * TURN_STEPS), round(slopes[1] / (2 * np.pi) * TURN_STEPS)
@@ -88,7 +88,8 @@ class Gates:
         self._tolerance = int(order_step / 4 * PARAMETER_STEPS)
         self._valid, self._before, self._link = (np.empty(shape, np.uint8) for _ in range(3))
         self._large = max(20 * self._smallest, int(LARGE_SHARE * self._valid.size))
-        self._label = np.empty(shape, np.uint16)
+        self._label, self._code = np.empty(shape, np.uint16), np.empty(shape, np.uint8)
+        self._expected = np.empty((blocks(shape[0], BORDER_ROWS), CODES))
         self._surfaces, self._divided = Surfaces(shape), DividedSurfaces(shape)
         self._regions = UnexplainedRegions(shape)
         self._unique = Uniqueness(shape, (right, projector))
@@ -159,9 +160,11 @@ class Gates:
             mean, *points,
         )  # fmt: skip
         border_test(
-            blocks(len(label), BORDER_ROWS), planes, _LOSS, self._stride, self.per_order, MODEL,
-            self._largest_odds, valid, agreement.misfit, points.sigma_mm,
+            len(self._expected), planes, _LOSS, self._stride, self.per_order, MODEL, valid, agreement.misfit,
+            points.sigma_mm, self._code, self._expected,
         )  # fmt: skip
+        most = largest_code(self._expected, int(np.count_nonzero(valid)), self._most)
+        valid &= np.less_equal(self._code, most, out=self._before.view(np.bool_)).view(np.uint8)
         reject_eroded(valid, surfaces, self._smallest)
         return valid
 

@@ -23,6 +23,9 @@ TIMES_USUAL = 1.5
 """Residual against the projector, rms, in units of that of the large surfaces."""
 LEAST_LOSS = 0.65
 """Mean loss of the textures' deviations, in units of that of matched pixels."""
+MOSTLY_OPEN, FAR_FROM_USUAL, UNLIKE = 0.75, 3.0, 1.5
+"""Such a share, and the residual and the loss one of which is enough then: by chance a wrong order may agree with the
+projector as well as a right one, and bare surfaces have no textures that differ."""
 
 
 def reject_open(
@@ -60,4 +63,6 @@ def reject_unconfirmed(
     small = sizes < large
     usual = float(np.average(figures.rms, weights=np.where(small & ~small.all(), 0, sizes)))
     misfits = (figures.rms >= TIMES_USUAL * usual) & (figures.mean_loss >= LEAST_LOSS * matched_loss)
+    clearly = (figures.rms >= FAR_FROM_USUAL * usual) | (figures.mean_loss >= UNLIKE * matched_loss)
+    misfits |= (continued.open >= MOSTLY_OPEN) & clearly
     reject_open(continued, surfaces, large, valid, misfits)

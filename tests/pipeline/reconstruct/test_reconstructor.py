@@ -163,8 +163,8 @@ def test_frequency_modulated_fringes_take_the_same_path():
     pair = render_pair(SMALL, build("mixed"), pattern, Optics(), seed=2)
     found = Reconstructor(SMALL.calibration_for(Optics()), pattern, SMALL.volume(), settings=SETTINGS)
     measured = score(found.reconstruct(pair.left, pair.right).xyz, pair.truth_left)
-    assert measured.reconstructed > 0.92
-    assert measured.wrong < 0.015
+    assert measured.reconstructed > 0.91
+    assert measured.wrong < 0.002
 
 
 def test_a_projector_off_by_a_column_is_noticed_and_corrected(pair, cloud):

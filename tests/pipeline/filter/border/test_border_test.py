@@ -12,7 +12,14 @@ from pipeline.common.parallel_for import blocks
 from pipeline.filter.border.border_figures import Planes, border_figures
 from pipeline.filter.border.border_model import FIGURES, MODEL, BorderModel
 from pipeline.filter.border.border_pixels import ROWS, border_of_row, changes_of_row
-from pipeline.filter.border.border_test import border_test, largest_odds
+from pipeline.filter.border.border_test import (
+    CODES,
+    EXPECTED_WRONG,
+    LEAST_LIMIT,
+    border_test,
+    code_of,
+    largest_code,
+)
 from pipeline.filter.texture_agreement import LOSS
 from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP
 
@@ -36,17 +43,32 @@ def planes(seed: int = 3, *, behind_mm: float = 60.0) -> Planes:
     )  # fmt: skip
 
 
+def _tested(p: Planes, model: BorderModel = MODEL, per_order: np.float32 = PER_ORDER) -> tuple[Any, Any, Any, Any]:
+    """Codes and expected wrong points by code, misfit and sigma after the test."""
+    valid, misfit, sigma = (p.label > 0).astype(np.uint8), p.misfit.copy(), p.sigma.copy()
+    p = p._replace(misfit=misfit, sigma=sigma)
+    bands = blocks(SHAPE[0], ROWS)
+    code, expected = np.full(SHAPE, 99, np.uint8), np.full((bands, CODES), np.nan)
+    border_test(
+        bands, p, LOSS.astype(np.float32), 1, per_order, model, valid, misfit, sigma, code, expected,
+    )  # fmt: skip
+    return code, expected, misfit, sigma
+
+
 def _outcome(
     p: Planes, probability: float = 0.08, model: BorderModel = MODEL, per_order: np.float32 = PER_ORDER
 ) -> tuple[Any, Any, Any]:
-    """Validity, misfit and sigma after the test."""
-    valid, misfit, sigma = (p.label > 0).astype(np.uint8), p.misfit.copy(), p.sigma.copy()
-    p = p._replace(misfit=misfit, sigma=sigma)
-    border_test(
-        blocks(SHAPE[0], ROWS), p, LOSS.astype(np.float32), 1, per_order, model, largest_odds(probability), valid,
-        misfit, sigma,
-    )  # fmt: skip
-    return valid, misfit, sigma
+    """Validity with this limit of the probability, misfit and sigma after the test."""
+    code, _, misfit, sigma = _tested(p, model, per_order)
+    return ((p.label > 0) & (code <= code_of(probability))).astype(np.uint8), misfit, sigma
+
+
+def _doubtful() -> Planes:
+    """Planes some of whose border points are probably wrong."""
+    p = planes()
+    p.xyz[::3, EDGE - 1, 2] += 0.3 * ORDER_MM
+    p.residual_normalised[::3, EDGE - 1] = round(0.3 / RESIDUAL_STEP)
+    return p
 
 
 def test_only_points_near_a_border_are_touched() -> None:
@@ -82,11 +104,27 @@ def test_a_point_between_two_surfaces_is_rejected_or_gets_a_sigma_of_the_size_of
 
 
 def test_more_points_stay_with_a_larger_probability_and_all_at_one() -> None:
-    p = planes()
-    p.xyz[::3, EDGE - 1, 2] += 0.3 * ORDER_MM
-    p.residual_normalised[::3, EDGE - 1] = round(0.3 / RESIDUAL_STEP)
+    p = _doubtful()
     kept = [int(_outcome(p, probability)[0].sum()) for probability in (0.002, 0.05, 0.5, 1.0)]
     assert kept == sorted(kept) and kept[0] < kept[-1] == np.count_nonzero(p.label)
+
+
+def test_the_limit_is_the_largest_with_few_expected_wrong_points() -> None:
+    code, expected, _, _ = _tested(_doubtful())
+    by_code = expected.sum(axis=0)
+    assert by_code[0] == 0 and (by_code[1:] > 0).sum() == len(np.unique(code[code > 0]))
+    for points in (10, 3000, 10**5, 10**7):
+        most = largest_code(expected, points, code_of(0.5))
+        assert code_of(LEAST_LIMIT) <= most <= code_of(0.5)
+        if most > code_of(LEAST_LIMIT):
+            assert by_code[: most + 1].sum() <= EXPECTED_WRONG * points
+        if most < code_of(0.5):
+            assert by_code[: most + 2].sum() > EXPECTED_WRONG * points
+    assert largest_code(expected, 10, code_of(LEAST_LIMIT)) < largest_code(expected, 10**7, code_of(0.5))
+
+
+def test_all_points_stay_where_the_test_is_off() -> None:
+    assert largest_code(np.full((3, CODES), 1e6), 10, code_of(1.0)) == CODES - 1
 
 
 def test_the_deviation_from_the_plane_widens_sigma() -> None:
@@ -111,10 +149,11 @@ def test_the_figures_that_the_model_is_fitted_to_are_those_that_decide() -> None
     x = (found[tested].astype(np.float64) - MODEL.mean) * MODEL.scale
     row, column = np.tril_indices(FIGURES)
     odds = MODEL.wrong[0] + x @ MODEL.wrong[1 : 1 + FIGURES] + (x[:, row] * x[:, column]) @ MODEL.wrong[1 + FIGURES :]
-    limit = float(np.median(odds))
-    valid = _outcome(p, 1 / (1 + np.exp(-limit)))[0][tested] != 0
-    clear = np.abs(odds - limit) > 1e-3
-    assert clear.mean() > 0.9 and (valid == (odds < limit))[clear].all()
+    code, expected, _, _ = _tested(p)
+    assert ((code > 0) == tested).all()
+    some = (odds > -5.9) & (odds < 1.8)
+    assert some.any() and (np.abs(odds[some] - (code[tested][some] - 0.5) / 16 + 6) < 0.5 / 16 + 1e-3).all()
+    assert expected.sum() == pytest.approx((1 / (1 + np.exp(-odds))).sum(), rel=1e-3)
 
 
 @pytest.mark.parametrize(("variance", "factor"), [(0.25, 1.0), (1.0, 1.0), (4.0, 2.0), (25.0, 5.0)])
@@ -167,7 +206,7 @@ def test_the_test_does_not_depend_on_the_number_of_threads() -> None:
     try:
         for threads in (1, most):
             numba.set_num_threads(threads)
-            results.append(_outcome(planes()))
+            results.append(_tested(planes()))
     finally:
         numba.set_num_threads(most)
     assert all((a == b).all() for a, b in zip(*results, strict=True))
