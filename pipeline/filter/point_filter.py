@@ -23,11 +23,17 @@ from pipeline.filter.occlusion.occlusion_conflicts import PARAMETER_STEPS, Value
 from pipeline.filter.occlusion.uniqueness import Uniqueness
 from pipeline.filter.surfaces import surface_links
 from pipeline.filter.surfaces.brightness_edges import DividedSurfaces
-from pipeline.filter.surfaces.component_test import component_test
+from pipeline.filter.surfaces.component_test import component_test, rms_of
 from pipeline.filter.surfaces.continued_orders import continued_orders
 from pipeline.filter.surfaces.small_surfaces import reject_contradicted, reject_eroded
 from pipeline.filter.surfaces.surface_evidence import DISTINCT, Figures
-from pipeline.filter.surfaces.unconfirmed_surfaces import reject_open, reject_unconfirmed
+from pipeline.filter.surfaces.unconfirmed_surfaces import (
+    LEAST_OPEN,
+    reject_open,
+    reject_parts,
+    reject_unconfirmed,
+    usual_rms,
+)
 from pipeline.filter.surfaces.unexplained_regions import UnexplainedRegions
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
 from pipeline.fringe_order.margins.order_margins import MOST_REJECTED, VAGUE_SHARE, Continued
@@ -155,6 +161,7 @@ class Gates:
             left.valid, valid, label, surfaces, figures, continued, scale.matched_loss, self._large
         )
         reject_unconfirmed(figures, continued, scale.matched_loss, surfaces, self._large, valid)
+        self._reject_unconfirmed_parts(match, left, agreement, usual_rms(figures, surfaces.sizes, self._large))
         planes = Planes(
             label, agreement.deviation, agreement.misfit, match.right_u, match.residual_normalised, match.residual,
             mean, *points,
@@ -186,6 +193,18 @@ class Gates:
         parts.find(self._valid, left.mean, self._link, self._large)
         sizes = parts.surfaces.sizes
         reject_ambiguous(parts.label, sizes, Continued.none(len(sizes)), self._valid)
+
+    def _reject_unconfirmed_parts(
+        self, match: MatchResult, left: PhaseMap, agreement: Agreement, usual: float
+    ) -> None:  # fmt: skip
+        """Reject small parts of surfaces between edges of the brightness that nothing beside them confirms."""
+        parts, valid = self._divided, self._valid
+        parts.find(valid, left.mean, self._link, self._smallest)
+        continued = continued_orders(match, left, parts.label, parts.surfaces, self._large, valid)
+        if not (continued.open >= LEAST_OPEN).any():
+            return
+        rms = rms_of(valid, match, agreement.deviation, parts.surfaces, self._large)
+        reject_parts(parts, rms, usual, continued, self._label, self._surfaces.sizes, self._large, valid)
 
     def _test_components(self, match: MatchResult, agreement: Agreement, mean: Any, scale: Scale) -> Figures:
         return component_test(

@@ -20,7 +20,6 @@ from pipeline.decode.kernels.window_fit import weights_of
 from pipeline.decode.raw_image import checked, mosaic_of
 from pipeline.filter.occlusion.kernel_warmup import warm_up_conflicts
 from pipeline.filter.point_filter import phase_weight
-from pipeline.filter.surfaces import brightness_edges
 from pipeline.filter.surfaces.surface_evidence import DISTINCT
 from pipeline.fringe_order.left_right_check import cross_check
 from pipeline.fringe_order.margins.order_margins import EVEN, Limits
@@ -177,7 +176,6 @@ class Reconstructor:
         self.searches[0].least_costs(*self._maps, self.correction, stride=8)
         self.searches[0].reject_contradicted(*self._maps, self.correction, self.right, self._kept)
         warm_up_conflicts()
-        brightness_edges.warm_up()
         self.color(left)
         normals_of(cloud.xyz, cloud.sigma_mm)
         self.restore(kept)

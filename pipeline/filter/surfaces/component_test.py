@@ -177,6 +177,20 @@ def component_test(
     return figures
 
 
+def rms_of(
+    valid: NDArray[np.uint8], match: MatchResult, deviation: NDArray[np.uint8], surfaces: Surfaces, large: int
+) -> NDArray[np.float64]:
+    """Rms of surfaces' (n,) residuals against the projector, radians; of some rows of those of ``large`` pixels."""
+    f = surfaces
+    total = np.zeros((_SUMS, PARTS, len(f.sizes)), np.int64)
+    _sums(
+        PARTS, valid, match.residual_normalised, match.residual, deviation, _LOSSES, f.start, f.stop, f.count, f.first,
+        f.surface, f.sizes, large, total,
+    )  # fmt: skip
+    squares, pixels = total[_SQUARES].sum(axis=0), total[_PIXELS].sum(axis=0)
+    return np.asarray(RESIDUAL_STEP * np.sqrt(squares / np.maximum(pixels, 1)))
+
+
 def _figures(total: NDArray[np.float64], least_pairs: float) -> Figures:
     """Figures from sums (9, n)."""
     n = np.maximum(total[_PIXELS], 1)

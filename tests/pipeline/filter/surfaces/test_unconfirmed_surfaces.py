@@ -7,13 +7,21 @@ import pytest
 from numpy.typing import NDArray
 
 from pipeline.common.connected_components import LEFT, UP, Surfaces
+from pipeline.filter.surfaces.brightness_edges import DividedSurfaces
 from pipeline.filter.surfaces.surface_evidence import Figures
 from pipeline.filter.surfaces.unconfirmed_surfaces import (
+    ALL_OPEN,
+    FAR_FROM_USUAL,
     LEAST_LOSS,
     LEAST_OPEN,
+    MOSTLY_OPEN,
     TIMES_USUAL,
+    TIMES_USUAL_PART,
+    UNLIKE,
     reject_open,
+    reject_parts,
     reject_unconfirmed,
+    usual_rms,
 )
 from pipeline.fringe_order.margins.order_margins import Continued
 
@@ -94,3 +102,52 @@ def test_where_much_is_ambiguous_an_open_border_is_enough(jumps: float, unknown:
     assert valid[WALL].all()
     assert valid[PATCH].all() == kept
     assert valid[PATCH].any() == kept
+
+
+@pytest.mark.parametrize(("rms", "loss"), [(1.01 * FAR_FROM_USUAL, 0.0), (0.0, 1.01 * UNLIKE)])
+def test_where_the_border_is_mostly_open_one_of_both_is_enough(rms: float, loss: float) -> None:
+    assert not remaining(rms=rms * RMS, loss=loss * LOSS, unknown=1.01 * MOSTLY_OPEN).any()
+    assert remaining(rms=rms * RMS, loss=loss * LOSS, unknown=0.99 * MOSTLY_OPEN).all()
+    assert remaining(rms=0.98 * rms * RMS, loss=0.98 * loss * LOSS, unknown=1.01 * MOSTLY_OPEN).all()
+
+
+def parts_remaining(*, rms: float, open_share: float, large: int = LARGE) -> NDArray[np.uint8]:
+    """Points of a bright patch on a wall of another brightness, and of a patch alone, both with these figures."""
+    valid, brightness = np.zeros(SHAPE, np.uint8), np.full(SHAPE, 80, np.uint8)
+    valid[WALL], valid[OTHER] = 1, 1
+    brightness[5:25, 8:24] = 200
+    whole, parts, link = Surfaces(SHAPE), DividedSurfaces(SHAPE), np.full(SHAPE, LEFT | UP, np.uint8)
+    label = np.empty(SHAPE, np.uint16)
+    whole.find(valid, link, 30)
+    whole.paint(label)
+    parts.find(valid, brightness, link, 30)
+    patches = np.isin(np.arange(len(parts.surfaces.sizes)) + 1, [parts.label[15, 16], parts.label[25, 45]])
+    assert patches.sum() == 2
+    shares = np.where(patches, open_share, 0.0).astype(np.float32)
+    none = np.zeros(len(patches), np.float32)
+    continued = Continued(np.zeros(len(patches), np.int32), none, none, shares)
+    reject_parts(parts, np.where(patches, rms, RMS), RMS, continued, label, whole.sizes, large, valid)
+    assert valid[:, :4].all()
+    return np.array([valid[15, 16], valid[25, 45]])
+
+
+def test_a_part_of_a_large_surface_is_rejected_where_its_border_is_open() -> None:
+    worse = 1.01 * TIMES_USUAL_PART * RMS
+    assert parts_remaining(rms=worse, open_share=1.01 * LEAST_OPEN).tolist() == [0, 1]
+    assert parts_remaining(rms=0.98 * worse, open_share=1.01 * LEAST_OPEN).all()
+    assert parts_remaining(rms=worse, open_share=0.99 * LEAST_OPEN).all()
+    assert parts_remaining(rms=0.0, open_share=1.01 * ALL_OPEN).tolist() == [0, 1]
+    assert parts_remaining(rms=worse, open_share=1.0, large=60).all()
+
+
+def test_a_part_of_a_small_surface_is_rejected_where_it_fits_far_worse() -> None:
+    assert not parts_remaining(rms=1.01 * FAR_FROM_USUAL * RMS, open_share=1.01 * LEAST_OPEN).any()
+
+
+def test_the_usual_rms_is_that_of_the_large_surfaces() -> None:
+    sizes = np.array([100, 300, 50], np.int32)
+    own = np.zeros(3)
+    figures = Figures(sizes, own, np.array([0.1, 0.2, 0.9]), own, own, own, own, own)
+    assert usual_rms(figures, sizes, 100) == pytest.approx((100 * 0.1 + 300 * 0.2) / 400)
+    assert usual_rms(figures, sizes, 1000) == pytest.approx((100 * 0.1 + 300 * 0.2 + 50 * 0.9) / 450)
+    assert usual_rms(figures._replace(rms=np.empty(0)), np.empty(0, np.int32), 100) == 0
