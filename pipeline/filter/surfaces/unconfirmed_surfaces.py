@@ -92,8 +92,9 @@ def reject_parts(
     """
     doubtful = (parts.surfaces.sizes < large) & (continued.open >= LEAST_OPEN)
     doubtful &= (rms >= TIMES_USUAL_PART * usual) | (continued.open >= ALL_OPEN)
-    for n in np.flatnonzero(doubtful):
-        part = parts.label == n + 1
-        of_large = sizes[label.flat[part.argmax()] - 1] >= large
-        if of_large or rms[n] >= FAR_FROM_USUAL * usual:
-            valid[part] = 0
+    if not doubtful.any():
+        return
+    at = np.flatnonzero(np.append(False, doubtful)[parts.label])
+    part, own = parts.label.flat[at].astype(np.int64) - 1, label.flat[at].astype(np.int64) - 1
+    of_large = (own >= 0) & (sizes[own] >= large)
+    valid.flat[at[of_large | (rms[part] >= FAR_FROM_USUAL * usual)]] = 0
