@@ -21,7 +21,6 @@ from benchmarks.reconstruction.cases import HARD, Case, scaled
 from pipeline.monitor.check.checked_reconstructor import CheckedReconstructor
 from sim.evaluate.point_errors import PointErrors, point_errors
 from sim.render import sensor
-from sim.render.ground_truth import Truth
 from sim.render.projected_light import projected_light
 from sim.render.render_pair import image_sent, light_on_sensor, truths
 from sim.rig.disturbance import TrueRig
@@ -183,9 +182,9 @@ def with_effect(name: str, lights: tuple[Light, Light], case: Case, seed: int = 
     return images
 
 
-def affected_pairs(case: Case, names: Iterable[str]) -> Iterator[tuple[str, list[Image], Truth]]:
-    """Name, images and truth of the left camera of a case under each of some effects."""
-    rig, scene = TrueRig.of(case.layout, case.optics), build(case.scene)
+def errors_of(case: Case, names: Iterable[str]) -> Iterator[tuple[str, PointErrors, str]]:
+    """Name, errors and verdict of a first pair under each of some effects."""
+    rig, scene, volume = TrueRig.of(case.layout, case.optics), build(case.scene), case.layout.volume()
     light = projected_light(image_sent(case.pattern, case.optics, rig.projector.size), case.optics)
     left, right = (
         light_on_sensor(case.layout, rig.projector, scene, light, case.optics, 0.0, device)
@@ -193,14 +192,7 @@ def affected_pairs(case: Case, names: Iterable[str]) -> Iterator[tuple[str, list
     )
     truth, _ = truths(case.layout, scene, t_s=0.5e-6 * case.optics.exposure_us)
     for name in names:
-        yield name, with_effect(name, (left, right), case), truth
-
-
-def errors_of(case: Case, names: Iterable[str]) -> Iterator[tuple[str, PointErrors, str]]:
-    """Name, errors and verdict of a first pair under each of some effects."""
-    volume = case.layout.volume()
-    for name, images, truth in affected_pairs(case, names):
-        cloud = CheckedReconstructor(case.reconstructor(), "warn").reconstruct(*images)
+        cloud = CheckedReconstructor(case.reconstructor(), "warn").reconstruct(*with_effect(name, (left, right), case))
         found = point_errors(cloud.xyz, cloud.sigma_mm, truth, (volume.near_mm, volume.far_mm))
         yield name, found, cloud.consistency.verdict if cloud.consistency is not None else ""
 

@@ -16,7 +16,6 @@ from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
 from pipeline.filter.occlusion.kernel_warmup import warm_up_conflicts
-from pipeline.filter.surfaces import brightness_edges
 from pipeline.filter.texture_agreement import Scale
 from pipeline.fringe_order.left_right_check import cross_check
 from pipeline.fringe_order.margins.order_margins import Continued, Limits
@@ -139,7 +138,6 @@ def _filter() -> None:
     order = np.zeros((HEIGHT, WIDTH), np.int16)
     for stride in (1, 2):
         made.stage(stride).certain(phases, phases, order, made.correction, Stopwatch(None))
-    brightness_edges.warm_up()
 
 
 def _output() -> None:

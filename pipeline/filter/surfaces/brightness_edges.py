@@ -47,12 +47,6 @@ class DividedSurfaces:
         self.surfaces.paint(self.label)
 
 
-def warm_up() -> None:
-    """Compile (or load) the kernels; few pairs need them."""
-    blank = np.zeros((2 * _ROWS, 2 * _ROWS), np.uint8)
-    DividedSurfaces(blank.shape).find(blank, blank, blank, 1)
-
-
 @linked
 def _edges(brightness: Any, i: int, low: Any, high: Any, edge: Any) -> None:
     """1 where a pixel of row ``i`` is at an edge; ``low``, ``high`` (W + 2 REACH): scratch."""

@@ -160,10 +160,9 @@ def component_test(
         stride: pixels of the image from one of these pixels to the next.
     """
     f = surfaces
-    total = np.zeros((_SUMS, PARTS, len(f.sizes)), np.int64)
+    total = _summed(valid, match, deviation, f, large)
     runs = f.start, f.stop, f.count, f.first, f.surface, f.sizes, large
     residuals = match.residual_normalised, match.residual
-    _sums(PARTS, valid, *residuals, deviation, _LOSSES, *runs, total)
     per = np.float32(2 * sqrt(1 - AMPLITUDE_SHARE) / scale.mean_sigma * DEVIATION_STEPS)
     displaced, inset = max(round(DISPLACED / stride), 1), round(INSET / stride)
     _sums_of_small(PARTS, valid, *residuals, deviation, mean, displaced, inset, per, _LOSSES, *runs, total)
@@ -181,14 +180,21 @@ def rms_of(
     valid: NDArray[np.uint8], match: MatchResult, deviation: NDArray[np.uint8], surfaces: Surfaces, large: int
 ) -> NDArray[np.float64]:
     """Rms of surfaces' (n,) residuals against the projector, radians; of some rows of those of ``large`` pixels."""
+    total = _summed(valid, match, deviation, surfaces, large).sum(axis=1)
+    return np.asarray(RESIDUAL_STEP * np.sqrt(total[_SQUARES] / np.maximum(total[_PIXELS], 1)))
+
+
+def _summed(
+    valid: NDArray[np.uint8], match: MatchResult, deviation: NDArray[np.uint8], surfaces: Surfaces, large: int
+) -> NDArray[np.int64]:
+    """Sums (9, PARTS, n) of :func:`_sums`, zeros for the others."""
     f = surfaces
     total = np.zeros((_SUMS, PARTS, len(f.sizes)), np.int64)
     _sums(
         PARTS, valid, match.residual_normalised, match.residual, deviation, _LOSSES, f.start, f.stop, f.count, f.first,
         f.surface, f.sizes, large, total,
     )  # fmt: skip
-    squares, pixels = total[_SQUARES].sum(axis=0), total[_PIXELS].sum(axis=0)
-    return np.asarray(RESIDUAL_STEP * np.sqrt(squares / np.maximum(pixels, 1)))
+    return total
 
 
 def _figures(total: NDArray[np.float64], least_pairs: float) -> Figures:
